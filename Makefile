@@ -46,10 +46,12 @@ hidden: $(VENV)/.installed-test
 	$(BIN)/python -m tests.hidden.family_run --aside --first 7800 --every 4 --page
 
 faults: $(VENV)/.installed-test
-	$(BIN)/python -m tests.faults.run --stealth --page docs/faults.md
+	$(BIN)/python -m tests.faults.run --page docs/faults.md
+	$(BIN)/python -m tests.faults.run --cover --stealth --page docs/faults.md
 
 healthy: $(VENV)/.installed-test
-	$(BIN)/python -m benchmarks.supervision --cost --healthy 500
+	$(BIN)/python -m benchmarks.supervision --cost --healthy 500 --table docs/healthy.csv
+	$(BIN)/python -m benchmarks.checks --page
 
 fuzz: $(VENV)/.installed-test
 	$(BIN)/python -m tests.fuzz.run

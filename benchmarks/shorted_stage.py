@@ -32,7 +32,7 @@ def conducting(torque_nm: float) -> Row:
     def act(scene: Scene) -> None:
         scene.plant.stage = stage
 
-    return Row(f"{torque_nm:g}", act, (), ("ramp", "peak", "idle"), needs_sto=True, action=STAGE)
+    return Row(f"{torque_nm:g}", act, (), ("ramp", "peak", "idle"), unstoppable="the stage conducts", action=STAGE)
 
 
 def table() -> list[str]:

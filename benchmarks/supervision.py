@@ -36,7 +36,8 @@ DAYS = 3
 REFUSED = "identify this bench"
 """Words of a refusal before the bench moves."""
 CONTROLLERS = ("paper", "extended", "none", "friction", "impedance")
-NAMES = ("servo", "knee", "ratio", "force", "start", "end", "still START", "still END", "still servo", "still knee")
+NAMES = ("servo", "knee", "ratio", "force", "start", "end", "still START", "still END", "still servo", "still knee",
+         "START", "END")
 COMPARED = ("desired", "first cycle", "second cycle", "rope, first cycle", "rope, second cycle")
 LEAST_TAIL = 20
 """Healthy trials from which the tail of their shares is fitted: two lie in its largest tenth."""
@@ -141,13 +142,13 @@ def walked(job: Job, calibration: Any) -> Ended:
     from physics.reference import paper_reference
     from virtual_bus.bus import BowdenBus
 
-    worst = np.zeros(plausibility.RELATIONS)
+    worst, limits = np.zeros(len(NAMES)), settings.Limits()
 
     class Watched(plausibility.Plausibility):
         def check(self, *given: Any, **named: Any) -> Any:
             found = super().check(*given, **named)
             ratios = self.s[plausibility.RATIOS:plausibility.RATIOS + plausibility.RELATIONS]
-            np.maximum(worst, np.abs(ratios), out=worst)
+            np.maximum(worst, [*np.abs(ratios), given[5] / limits.start_n, given[6] / limits.end_n], out=worst)
             return found
 
     from master.cycle import exchange
@@ -195,7 +196,14 @@ def cost() -> None:
           f"(of a period of 1000 µs at 1 kHz, and of the master's compute budget of 100 µs)")
 
 
-def healthy(count: int, first: int, workers: int, cycles: int, kept: Path | None) -> int:
+def write(path: Path, whole: list[Ended]) -> None:
+    """Write the largest share of its bound that each check reached, and in how many trials, as a table file."""
+    shares = [*np.max([ended.ratios for ended in whole], axis=0), *np.max([ended.compared for ended in whole], axis=0)]
+    lines = [f'"{name}",{share:.2f},{len(whole)}' for name, share in zip((*NAMES, *COMPARED), shares, strict=True)]
+    path.write_text("\n".join(["check,share,trials", *lines, ""]), encoding="utf-8")
+
+
+def healthy(count: int, first: int, workers: int, cycles: int, kept: Path | None, table: Path | None = None) -> int:
     """Run `count` trials from number `first` on that `kept` lacks, print what all raised; returns how many stopped."""
     drawn = {job.number: job for job in jobs(first + count, cycles) if job.number >= first}
     lines = kept.read_text(encoding="utf-8").splitlines() if kept is not None and kept.exists() else []
@@ -213,6 +221,8 @@ def healthy(count: int, first: int, workers: int, cycles: int, kept: Path | None
                 print(f"{len(told)} of {len(drawn)}, {sum(e.reason is not None for e in told)} stopped, "
                       f"{sum(e.packaged is not None for e in told)} identified", file=sys.stderr, flush=True)
     show(told)
+    if table is not None:
+        write(table, [ended for ended in told if ended.reason is None])
     return sum(ended.reason is not None for ended in told)
 
 
@@ -230,7 +240,7 @@ def show(told: list[Ended]) -> None:
     if not whole:
         return
     ratios = np.array([ended.ratios for ended in whole])
-    print("greatest residual by its tolerance, single cycles among them (a stop needs four in a row): " + ", ".join(
+    print("greatest residual by its tolerance, single cycles among them (a stop needs two in a row): " + ", ".join(
         f"{name} {value:.2f}" for name, value in zip(NAMES, ratios.max(axis=0), strict=True)))
     shares = np.array([ended.compared for ended in whole])
     print("greatest departure of a gait cycle by its tolerance: " + ", ".join(
@@ -274,11 +284,13 @@ def main() -> int:
     asked.add_argument("--first", type=int, default=0, help="number of the first trial; trials are drawn by number")
     asked.add_argument("--cycles", type=int, default=CYCLES)
     asked.add_argument("--kept", type=Path)
+    asked.add_argument("--table", type=Path, help="table file of the largest share of each check")
     asked.add_argument("--jobs", type=int, default=2)
     given = asked.parse_args()
     if given.cost or not given.healthy:
         cost()
-    return int(bool(given.healthy and healthy(given.healthy, given.first, given.jobs, given.cycles, given.kept)))
+    return int(bool(given.healthy and healthy(
+        given.healthy, given.first, given.jobs, given.cycles, given.kept, given.table)))
 
 
 if __name__ == "__main__":

@@ -56,4 +56,4 @@ def tables(model: BenchModel) -> dict[str, Any]:
 def extended(model: BenchModel, text: str) -> BenchModel:
     """Return a model with the effects that the text of an extended.toml states, and what they were found on."""
     found = bench_model.from_tables(tomllib.loads(text), "extended.toml")
-    return dataclasses.replace(model, effects=found.effects, found=found.found)
+    return dataclasses.replace(model, effects=found.effects, found=found.found, terms=found.terms)

@@ -18,6 +18,7 @@ from diagnosis import wire_faults
 from diagnosis.evidence.evidence_finder import NO_REFERENCE, EvidenceFinder
 from diagnosis.evidence.held_out import cycles_of
 from diagnosis.findings import Findings
+from diagnosis.laws.law_findings import Laws, discover
 from diagnosis.wire_faults import WireFindings
 from estimation import simulation_fit
 from estimation.bench_fit import oriented, turned
@@ -92,6 +93,30 @@ class Finder:
         # with matrices of some hundred columns, waiting threads cost more time than they save
         with threadpool_limits(1, user_api="blas"):
             return replace(self._diagnosed(trials, holdout), lowpass_hz=self.lowpass)
+
+    def discover(self, trials: Sequence[Given]) -> tuple[Laws, BenchModel | None]:
+        """Return the terms that extend the model of the reference condition in `trials`, and that model.
+
+        `trials`: of one session.  The model is None for a rig of another kind.
+
+        Raises `InputError` for unusable files, and without reference trials: a law departs from them.
+        """
+        if not trials or not self._healthy:
+            raise InputError("discover: name at least one trial, and one in the reference condition with --healthy.")
+        held = [[_read(t) for t in trials], list[Table]()]
+        refusals = self._examined(held)[1]
+        if refusals:
+            raise InputError(refusals[0])
+        tables = [_filtered(self._usable(t), self.lowpass) for t in held[0]]
+        core = self._core(tables)
+        if core is self._bench:
+            tables = [self._simulable(t) for t in tables]
+        refused = _short(tables) or core.lacking(tables) or core.unlike(tables)
+        if refused:
+            raise InputError(refused)
+        with threadpool_limits(1, user_api="blas"):
+            reference, observed = core.observed(tables)
+            return discover(reference, observed, tables), self._model(core, tables)
 
     def _known(self, trials: Sequence[Table]) -> Mapping[str, Any] | None:
         return self.calibration if self.calibration is not None else trials[0].calibration

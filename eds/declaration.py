@@ -71,9 +71,10 @@ ROPE_DRIVE: Final = DeviceType(
 """Drive of a rope, in m. It never ends a stop by holding the rope, because the joint would load the rope."""
 JOINT_DRIVE: Final = DeviceType(
     "joint_drive", "knee_drive", KneeMapping, ("statusword", "position"), ("target", "controlword"),
-    ((0x6007, cia402.AbortConnection.QUICK_STOP), (0x605A, cia402.Stop.QUICK_STOP_RAMP_HOLD),
-     (0x605E, cia402.Stop.QUICK_STOP_RAMP)))
-"""Drive of a joint, in rad. It holds the joint after a stop."""
+    ((0x6007, cia402.AbortConnection.QUICK_STOP), (0x605A, cia402.Stop.QUICK_STOP_RAMP),
+     (0x605E, cia402.Stop.DISABLE)))
+"""Drive of a joint, in rad. Without its master it brakes and lets go; after a fault of its own it lets go at once: a
+ramp would brake by the feedback that may have failed. What holds the joint then is mechanical."""
 LOAD_CELL: Final = DeviceType("load_cell", "tension_sensor", SensorMapping, ("value",))
 """Tension sensor, in N."""
 JOINT_ENCODER: Final = DeviceType("joint_encoder", "joint_encoder", EncoderMapping, ("position",))

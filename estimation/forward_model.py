@@ -75,6 +75,14 @@ class ForwardModel(ABC):
     def simulated_states(self, q: Array, trial: Any) -> Array:
         """Return the states that the discrepancy depends on, shape (states, bins), simulated at coordinates `q`."""
 
+    @abstractmethod
+    def course(self, q: Array, trial: Any) -> tuple[Array, Array, Array, Array, Array | None]:
+        """Return position, m, speed, m/s, load at START and at END, N, and joint angle, rad, on the time grid at `q`.
+
+        The loads are simulated at coordinates `q` where the model predicts them; the joint angle is None if there is
+        none.
+        """
+
     def motion(self, trial: Any) -> Array:
         """Return the signals whose range in the reference trials a trial should not exceed, shape (signals, bins)."""
         return np.zeros((0, 1))

@@ -73,6 +73,11 @@ class PathModel(ForwardModel):
             np.log(start + 3.0), np.arcsinh(rate / 50.0), remembered / 15.0, np.arcsinh(trial.rope_m_s / 0.02),
             np.log(path.middle[0] + 3.0)]))
 
+    def course(self, q: Array, trial: PathRecording) -> tuple[Array, Array, Array, Array, Array | None]:
+        """Return position, m, speed, m/s, START and END tension as simulated at `q`, N, and knee angle, rad."""
+        path = outputs.predict(q[:, None], trial).path
+        return trial.rope_m, trial.rope_m_s, path.start[0], path.end[0], trial.knee_rad
+
     def motion(self, trial: PathRecording) -> Array:
         """Return knee angle, its rate, and the tension that is led along the gait: END, or START if it is not measured.
         """

@@ -317,6 +317,11 @@ class RigModel(ForwardModel):
             np.log(load + 0.1 * load.mean() + 1e-12), np.arcsinh(trial.a / self.scale.acceleration),
             joint - joint.mean(), *others]))
 
+    def course(self, q: Array, trial: Taken) -> tuple[Array, Array, Array, Array, Array | None]:
+        """Return position, m, speed, m/s, twice the force that loads the friction, N, and joint angle, rad."""
+        load = np.abs(trial.inputs[END] if self.has_end else trial.inputs[START] if self.loaded else trial.a)
+        return trial.x, trial.v, load, load, trial.inputs.get(JOINT)
+
     def motion(self, trial: Taken) -> Array:
         """Return speed and acceleration, whose range in the reference trials a trial should not exceed.
 

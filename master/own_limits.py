@@ -17,7 +17,7 @@ from parameters import InputError, from_table
 DRIVE_LIMITS: Final = ("rope_m_s", "unwind_m_s")
 START_LIMITS: Final = ("start_n", "unwound_n")
 END_LIMITS: Final = ("end_n",)
-JOINT_LIMITS: Final = ("knee_low_rad", "knee_high_rad", "knee_rad_s")
+JOINT_LIMITS: Final = ("knee_low_rad", "knee_high_rad", "knee_rad_s", "knee_n_m")
 PATH_LIMITS: Final = (*START_LIMITS, *END_LIMITS, *DRIVE_LIMITS, "unwind_s", "progress_ms")
 """Limits that a rope drive, a START or END load cell, a joint and a force path may have as their own."""
 

@@ -73,6 +73,8 @@ class Limits:
                                      source="assumed: 10 degrees, a human knee's and a half")
     knee_rad_s: float = parameter(14.0, "rad/s", "knee speed above which the trial stops", low=0.1, high=30.0,
                                   source="assumed: the drive's own limit is 900 degrees per second, less a tenth")
+    knee_n_m: float = parameter(16.0, "N·m", "torque of the knee drive, which the drive itself holds", low=0.1,
+                                high=50.0, source="assumed: the packaged drive's; docs/safety.md, who holds what")
     rope_m_s: float = parameter(1.0, "m/s", "rope speed above which a position counts as impossible", low=0.01,
                                 high=5.0, source="the servo's 0x6080: 480 per minute of a 40 mm drum")
     raised: str = parameter("", "", "why limits stand above the packaged ones; --raise-limits says it",
@@ -91,7 +93,7 @@ class Limits:
 
 WIDER: Final = (
     ("start_n", "N", 1.0), ("end_n", "N", 1.0), ("knee_low_rad", "rad", -1.0), ("knee_high_rad", "rad", 1.0),
-    ("knee_rad_s", "rad/s", 1.0), ("rope_m_s", "m/s", 1.0))
+    ("knee_rad_s", "rad/s", 1.0), ("knee_n_m", "N·m", 1.0), ("rope_m_s", "m/s", 1.0))
 """Limits that protect a limb: name, unit, and the sense in which one allows more."""
 
 
@@ -115,6 +117,8 @@ class Record:
     """Description of a trial for later readers; `bowden init` asks for it once."""
 
     specimen: str = parameter("", "", "who or what wears the knee", source="said by the operator")
+    limb: str = parameter("", "", "person whose limb the bench moves, by a code; empty: a leg model. A trial then "
+                          "needs a set-up check (bowden check bench)", source="said by the operator")
     rope: str = parameter("", "", "rope and sheath: kind, batch, days in use", source="said by the operator")
     operator: str = parameter("", "", "who runs the bench", source="said by the operator")
     notes: str = parameter("", "", "whatever else matters", source="said by the operator")

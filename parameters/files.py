@@ -10,13 +10,15 @@ import gzip
 import os
 import stat
 import tempfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from parameters.declared import InputError
 
-UNPACKED_FLOOR, UNPACKED_RATIO = 256 << 20, 200  # bytes a .gz may always unpack to; or this many times its size
+UNPACKED_FLOOR = 64 << 20  # bytes that a packed file may always unpack to: a reader needs about three times that …
+UNPACKED_RATIO = 64  # … or this many times the file's size; a bench standing still packs about 40:1
 READ_LIMIT = 2 << 30  # bytes of a file that is read into memory
 LONGEST_LINE = 8 << 20  # bytes of one line of text
 _KINDS = {stat.S_IFIFO: "a named pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFSOCK: "a socket",
@@ -56,7 +58,7 @@ def content(path: Path, what: str, *, limit: int = READ_LIMIT, lines: bool = Fal
         return raw
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of {what}.") from None
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path}: cannot be read ({error}); give {what}.") from None
     except MemoryError:
         raise InputError(f"{path}: is too large for this computer's memory; cut it.") from None
@@ -73,7 +75,12 @@ def _unpacked(path: Path) -> bytes:
 
 def unpacked_limit(path: Path) -> int:
     """Return the largest unpacked size of a packed file, bytes."""
-    return max(UNPACKED_FLOOR, UNPACKED_RATIO * path.stat().st_size)
+    return most_unpacked(path.stat().st_size)
+
+
+def most_unpacked(size: int) -> int:
+    """Return the largest unpacked size of a packed file of `size` bytes."""
+    return max(UNPACKED_FLOOR, UNPACKED_RATIO * size)
 
 
 def refuse_long_lines(path: Path, raw: bytes, limit: int = LONGEST_LINE) -> None:
@@ -125,5 +132,5 @@ def _fresh(path: Path) -> Path:
     return Path(name)
 
 
-__all__ = ["LONGEST_LINE", "READ_LIMIT", "UNPACKED_FLOOR", "UNPACKED_RATIO", "content", "refuse_long_lines",
-           "refuse_special", "replaced", "unpacked_limit", "write_whole"]
+__all__ = ["LONGEST_LINE", "READ_LIMIT", "UNPACKED_FLOOR", "UNPACKED_RATIO", "content", "most_unpacked",
+           "refuse_long_lines", "refuse_special", "replaced", "unpacked_limit", "write_whole"]

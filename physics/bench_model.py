@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from parameters import InputError, Remark, read_toml
-from physics import calibration, correlation, end_discrepancy
+from physics import calibration, correlation, end_discrepancy, setup_check, terms
 from physics.calibration import Calibration, ScalarEvidence
 from physics.conversions import RELATED, SIMULATED, UNRELATED, converted
 from physics.correlation import Correlation
@@ -24,6 +24,7 @@ from physics.effects.effects_table import EVIDENCE, TABLE, stated
 from physics.end_discrepancy import EndDiscrepancy
 from physics.older_files import OLDER_TABLES, READ, VERSION, translated
 from physics.parameters import BY_PLANT, PARAMETERS, RELATION_PARAMETERS, healthy
+from physics.terms import Term
 
 FITTED: Final = "fitted"
 """The table that `bowden fit` writes beside the parameters: what its figures are."""
@@ -32,7 +33,7 @@ RIG: Final = "rig"
 SIMULATION: Final = "simulation"
 """The table of `bowden fit` of the parameters of the many-segment simulation, fitted to the same trials."""
 TABLES: Final = ("version", "bench", "parameters", *OLDER_TABLES, end_discrepancy.TABLE, TABLE, EVIDENCE, FITTED, RIG,
-                 SIMULATION, correlation.TABLE)
+                 SIMULATION, correlation.TABLE, setup_check.TABLE, terms.ARRAY)
 """Tables of a bench model; a plant model may hold tables of nominal values, too."""
 Values = Mapping[str, float]
 
@@ -47,7 +48,8 @@ class BenchModel:
     another kind by name, each with value, unit and interval; `simulation`: parameters of the simulation that were
     fitted by themselves, with their evidence, in place of those converted from `values`; `bench`: the bench's name
     ("": none); `label`: the file, or "nominal"; `discrepancy`: START → END beyond the values, of gait trials with END;
-    `correlation`: of the values that were estimated together.
+    `correlation`: of the values that were estimated together; `terms`: modulated
+    constants, found by `bowden discover`.
     """
 
     values: Values = field(default_factory=dict)
@@ -62,6 +64,7 @@ class BenchModel:
     correlation: Correlation | None = None
     simulation: Values = field(default_factory=dict)
     simulation_evidence: Mapping[str, ScalarEvidence] = field(default_factory=dict)
+    terms: tuple[Term, ...] = ()
 
     def _repr_html_(self) -> str:
         """Return a table for a notebook: each value with its unit and 95 % interval, then the effects."""
@@ -135,6 +138,7 @@ class BenchModel:
         for name, values in self.effects.items():
             lines += ["", f"[{TABLE}.{name}]  # {CATALOGUE[name].words}",
                       *(f"{key} = {value!r}" for key, value in values.items())]
+        lines += terms.rows(self.terms)
         return "\n".join(lines) + "\n"
 
 
@@ -167,7 +171,7 @@ def read(path: str | Path, *, bench: str = "") -> BenchModel:
         if name not in TABLES:
             raise InputError(f"{path}: unknown table {name}; expected {', '.join(f'[{t}]' for t in TABLES[2:])}.")
     model = from_tables(tables, str(path))
-    if not (model.values or model.effects or model.found):
+    if not (model.values or model.effects or model.found or model.terms):
         raise InputError(f"{path}: states neither parameters nor effects; give what bowden identify or diagnose wrote.")
     if bench and model.bench and model.bench != bench:
         raise InputError(
@@ -194,4 +198,4 @@ def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) ->
                          "its trials with its reference trials, --healthy.")
     return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where, fitted, rig,
                       end_discrepancy.stated(tables, where), correlation.stated(tables, where), simulation,
-                      simulation_evidence)
+                      simulation_evidence, terms.stated(tables, where))

@@ -29,16 +29,17 @@ from parameters import InputError, from_table, parameter
 from parameters.plugins import load
 from physics.converter import Converter, SensorParameters
 from physics.drive_loops import SERVO_GAINS
-from physics.plant.bench_plant import Plant, PlantParameters
+from physics.plant.bench_plant import BowdenPlant, Plant, PlantParameters
 from virtual_bus.bench import MS, US, Bench
 from virtual_bus.bus_options import Options
 from virtual_bus.machine import plant_model
-from virtual_bus.machine.hand import Hand
+from virtual_bus.machine.hand import CheckingHand, Hand
 from virtual_bus.machine.machine import (
     END_FEELS,
     START_FEELS,
     Feeling,
     Gauge,
+    KneeEncoder,
     Machine,
     Machines,
     MountedDrive,
@@ -69,8 +70,18 @@ class Trim:
         source="physics/drive_loops.py")
 
 
+@dataclass(frozen=True)
+class KneeEncoderError:
+    """Error of the knee drive's encoder from power-on: what a gear ratio or a mounting angle makes of it."""
+
+    scale: float = parameter(1.0, "", "angle read by true angle", low=0.5, high=2.0, source="assumed: none")
+    zero_rad: float = parameter(0.0, "rad", "angle read at the true angle 0", low=-0.5, high=0.5,
+                                source="assumed: none")
+
+
 GROUPS: Mapping[str, type[Any]] = {
     "plant": PlantParameters, "start_sensor": SensorParameters, "end_sensor": SensorParameters, "servo_drive": Trim,
+    "knee_encoder": KneeEncoderError,
 }
 
 PATH_SERIALS: Final = 1000
@@ -144,6 +155,11 @@ def _made(options: Options, wire: eds.WireLayout, number: int) -> SimulatedPath:
         tables["plant"]["start_knee_rad"] = mirrored_rad(path, tables["plant"]["start_knee_rad"])
     seed = options.seed + own
     plant = made_plant(options.plant, tables["plant"], seed)
+    if model.terms:
+        if not isinstance(plant, BowdenPlant):
+            raise InputError(f"plant {options.plant}: {model.where} has terms, which a plug-in's plant cannot follow; "
+                             "remove [[terms]], or leave out the plant.")
+        plant.extend(model.terms, model.where)
     return SimulatedPath(path, tables, model.faults, wire.paths[number], plant, seed)
 
 
@@ -164,7 +180,8 @@ def _machine(one: SimulatedPath, options: Options, wire: eds.WireLayout, bench: 
                  for device in (*declaration.followed, *declaration.observers)
                  if device.type is JOINT_ENCODER or device.type.application is not None]
     first = one.path is declaration.force_paths[0]
-    made = Machine(bench.kernel, one.plant, mounted(one.nodes.servo), knee, gauges, observers if first else ())
+    made = Machine(bench.kernel, one.plant, mounted(one.nodes.servo), knee, gauges, observers if first else (),
+                   KneeEncoder(**one.tables["knee_encoder"]), CheckingHand(options.hand) if options.hand else None)
     if isinstance(knee, Hand):
         bench.wire.attach(knee)
     return made

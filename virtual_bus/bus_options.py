@@ -57,6 +57,9 @@ class Options:
     hand_lag_ms: int = parameter(
         20, "ms", "lag of the hand behind the asked angle, on a bench without a knee drive", low=0, high=1000,
         source="assumed: a machine that is told the angle; an operator at a display has 100 ms and more")
+    hand: Mapping[str, float] | None = parameter(
+        None, "", "what the hand of a set-up check does: weights start_n and end_n on the load cells, or the knee "
+        "at knee_rad by a goniometer", source="bowden check bench")
     tx_queue: int = parameter(64, "frame", "frames that wait for the wire in the computer", low=1, high=100_000,
                               source="ip link set can0 txqueuelen 64")
     restart_ms: int = parameter(100, "ms", "time after bus-off until the computer's controller restarts", low=0,

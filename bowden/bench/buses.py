@@ -94,6 +94,14 @@ def simulated(
     return BusSettings(arguments, True, serial, own_bench=channel is None)
 
 
+def handled(chosen: BusSettings, **does: float) -> BusSettings:
+    """Return the bus whose simulated bench has a hand that does a set-up check; a real bus as it is.
+
+    `does`: start_n, end_n or knee_rad.
+    """
+    return replace(chosen, arguments={**chosen.arguments, "hand": does}) if chosen.simulated else chosen
+
+
 def bus(interface: str, channel: str | None = None, **options: Any) -> BusSettings:
     """Return a real bus: a python-can interface, its channel and its own options; raises `InputError`.
 

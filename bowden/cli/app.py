@@ -29,9 +29,9 @@ app = CommandGroup(
 MODULES = (
     "trials.trial", "trials.replay", "models.identify", "trials.sweep", "bench.bench", "bench.commission",
     "bench.doctor", "bench.node", "bench.bus_files", "bench.lss", "bench.monitor", "models.diagnose", "models.plan",
-    "models.fit",
+    "models.discover", "models.fit",
     "models.simulate", "models.verify", "trials.report", "bench.live", "bench.watch", "trials.convert",
-    "trials.recordings", "bench.record", "bench.setup", "models.logbook",
+    "trials.recordings", "bench.record", "bench.setup", "bench.setup_check", "models.logbook",
 )
 """Modules of the commands, in the order of `bowden --help`; importing one registers its commands on `app`."""
 

@@ -99,7 +99,7 @@ class Bus(NamedTuple):
 
     def sections(self, config: Path | None, rate: int | None = None) -> dict[str, Any]:
         """Return the checked sections of the configuration in `config`, the network overridden by the given options."""
-        from bowden.bench import configuration
+        from bowden.bench import configuration, safety_table
 
         sections = configuration.read(config)
         sections["network"] = configuration.override(
@@ -107,6 +107,7 @@ class Bus(NamedTuple):
         sections["limits"] = configuration.override(
             sections["limits"], {"raised": ("--raise-limits", self.raise_limits)})
         configuration.refuse_raised(sections["limits"], str(config))
+        safety_table.refuse_unheld(sections, str(config))
         return sections
 
     def chosen(self, simulated: SimulatedOptions | None = None, *, always_simulated: bool = False) -> BusSettings:

@@ -41,7 +41,7 @@ class Diagnosis:
 
     def fit(self, healthy: Given | Iterable[Given]) -> Diagnosis:
         """Learn from trials of this or a like bench with nothing wrong, once; returns itself.  Raises `InputError`."""
-        self._finder.fit([_table(trial, self._path) for trial in _several(healthy)])
+        self._finder.fit([table_of(trial, self._path) for trial in several(healthy)])
         self._measured = True
         return self
 
@@ -52,8 +52,8 @@ class Diagnosis:
         are assumed and not measured (`on_its_footing`).  Raises `InputError` for unusable files; inconsistent
         data give the verdict `refused`.
         """
-        given = _several(trials)
-        asked, unseen = ([_table(trial, self._path) for trial in group] for group in (given, _several(holdout)))
+        given = several(trials)
+        asked, unseen = ([table_of(trial, self._path) for trial in group] for group in (given, several(holdout)))
         paths = [Path(trial.path if isinstance(trial, Trial) else trial) for trial in given]
         found = on_its_footing(self._finder.diagnose(asked, unseen), paths, measured=self._measured)
         return DiagnosisResult(found, asked, unseen, self.model)
@@ -137,11 +137,13 @@ def on_its_footing(found: Findings, trials: Sequence[Path], *, measured: bool) -
     return found if measured or found.verdict == "refused" else found.unnamed()
 
 
-def _several(given: Given | Iterable[Given]) -> list[Given]:
+def several(given: Given | Iterable[Given]) -> list[Given]:
+    """Return one trial, or several, as a list."""
     return [given] if isinstance(given, Trial | str | Path) else list(given)
 
 
-def _table(given: Given, path: str | None) -> Table:
+def table_of(given: Given, path: str | None) -> Table:
+    """Return the columns of a trial; `path`: the force path of a trial of several."""
     from estimation.data import table
 
     return table.read(given.path if isinstance(given, Trial) else given, path)

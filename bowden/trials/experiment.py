@@ -146,14 +146,14 @@ def verify(
         raise InputError("verify: the experiment states a model, and verify is given one; leave it out of the "
                          "experiment.")
     known = model_files.read(model, bench=chosen.bench) if isinstance(model, str | Path) else model_files.given(model)
-    if not known.effects:
-        raise InputError(f"verify: {known.label} states no effect that a controller could be told of; give what a "
-                         "diagnosis found.")
+    if not known.effects and not known.terms:
+        raise InputError(f"verify: {known.label} states no effect and no term that a controller could be told of; give "
+                         "what a diagnosis found.")
     asked = replace(asked, controller=asked.controller or "extended")
     paths = {name: None if output is None else Path(output).with_stem(f"{Path(output).stem}-{name}")
              for name in ("before", "after")}
     output_files.refuse(paths.values(), overwrite=overwrite)
-    not_told = replace(known, effects={}, found={}) if known.values else None
+    not_told = replace(known, effects={}, found={}, terms=()) if known.values else None
     before, after = (
         run(replace(asked, model=told), bus=chosen, output=paths[name], overwrite=overwrite, progress=progress)
         for name, told in (("before", not_told), ("after", known)))

@@ -14,6 +14,7 @@ from importlib import metadata as installed
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bowden.bench import safety_table
 from bowden.bench.configuration import as_text
 
 if TYPE_CHECKING:
@@ -28,10 +29,11 @@ PACKAGES = ("bowden-bench", "canopen", "mcap", "numba", "numpy", "python-can", "
 def metadata(experiment: ExperimentSetup, script: str = "") -> dict[str, str]:
     """Return the identity of the trial, as text; `script` names the experiment run in place of the gait."""
     gait = experiment.gait
+    compensated = [*experiment.known, *(f"{term.carrier} × {term.modulation}" for term in experiment.terms)]
     return {
         "experiment": script or "gait",
         "controller": gait.controller,
-        **({"controller_model": ", ".join(experiment.known)} if experiment.known else {}),
+        **({"controller_model": ", ".join(compensated)} if compensated else {}),
         "calibration": Path(experiment.calibration.label).name,
         "peak_n": repr(gait.peak_n),
         "period_s": repr(gait.period_s),
@@ -69,6 +71,7 @@ def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[s
     return {
         "bench.toml": as_text(sections).encode(),
         "calibration.toml": write(calibration).encode(),
+        safety_table.ATTACHMENT: safety_table.as_csv(safety_table.table(sections)),
         "packages.txt": "".join(f"{name}=={_version(name)}\n" for name in PACKAGES).encode(),
         **devices,
     }

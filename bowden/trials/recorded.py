@@ -5,8 +5,14 @@ Everything comes out of the file, read by the same code as when the trial was ru
 
 from __future__ import annotations
 
+import atexit
+import dataclasses
+import functools
+import shutil
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -14,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from parameters import InputError
 
 if TYPE_CHECKING:
+    from eds.declaration import DeclaredDevice
     from master.motion.experiment_run import ExperimentSetup
     from physics.calibration import Calibration
     from trial.read import Trial
@@ -49,7 +56,7 @@ def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = 
         model = folder / provenance.CONTROLLER_MODEL
         made = ExperimentSetup(
             reference=reference, calibration=read(folder / "calibration.toml"),
-            known=session.known_effects(model if model.exists() else None),
+            **session.beyond(model if model.exists() else None),
             dry_run=recorded.metadata.get("dry_run") == "true", **chosen)
     if recorded.metadata.get("course", provenance.course(made)) != provenance.course(made):
         raise InputError(f"{recorded.path}: the motion or force it was run with is not in the file; "
@@ -72,7 +79,36 @@ def sections(recorded: Trial) -> dict[str, Any]:
     if "bench.toml" not in recorded.attachments:
         return configuration.read(None)
     with _unpacked(recorded, ("bench.toml",)) as folder:
-        return configuration.read(folder / "bench.toml")
+        found = configuration.read(folder / "bench.toml")
+    bench = found["network"].bench
+    inside = {device.node_id: dataclasses.replace(device.mapping, file=str(_own_file(recorded, device)))
+              for device in bench.devices if device.mapping.file}
+    return {**found, "network": dataclasses.replace(found["network"], bench=bench.mapped(inside))}
+
+
+def _own_file(recorded: Trial, device: DeclaredDevice) -> Path:
+    """Return a copy of a device's file from the trial's attachments, never a file of this computer.
+
+    A received file must not decide which files are read. Raises `InputError` where it is not attached.
+    """
+    name = Path(device.mapping.file).name
+    if name not in recorded.attachments:
+        raise InputError(f"{recorded.path}: its bench.toml names {device.mapping.file!r} for {device.name}, which is "
+                         "not attached; a recording reads its devices from its own attachments alone.")
+    content = recorded.attachments[name]
+    path = _copies() / sha256(content).hexdigest() / name
+    if not path.exists():
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content)
+    return path
+
+
+@functools.cache
+def _copies() -> Path:
+    """Return the folder of the copies, which lasts as long as this process: devices are read after their trial."""
+    folder = tempfile.mkdtemp(prefix="bowden-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def calibration(recorded: Trial) -> Calibration:

@@ -23,7 +23,6 @@ from parameters import InputError, read_toml
 from trial.signals import Signal, of_bench
 
 if TYPE_CHECKING:
-    from master.control.effect_correction import Effects
     from master.cycle.log import CycleSink
     from master.motion.experiment_run import ExperimentSetup, Planned, Result
     from master.motion.paths_run import PlannedPaths
@@ -165,8 +164,8 @@ def prepare(
     measured = next((known for known in (model, told) if known is not None and known.values), nominal()).calibration
     refuse_beyond_validity(measured, reference.peak_n)
     experiment = ExperimentSetup(reference=reference, calibration=measured, dry_run=dry_run,
-                                 known={**known_effects(model), **known_effects(told)}, **sections)
-    attached = controller_model or (model if known_effects(model) else None)
+                                 **beyond(model, told), **sections)
+    attached = controller_model or (model if any(beyond(model).values()) else None)
     return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(attached)},
                     script or "", controller.signals(kind))
 
@@ -193,7 +192,7 @@ def _several_paths(
         model, told = (_read(each, bench) for each in given)
         measured = next((known for known in (model, told) if known is not None and known.values), nominal()).calibration
         setups[path.name] = force_paths.setup_of(
-            whole, path, calibration=measured, known={**known_effects(model), **known_effects(told)})
+            whole, path, calibration=measured, **beyond(model, told))
         refuse_beyond_validity(measured, setups[path.name].reference.peak_n)
     kind = controller.find(sections["gait"].controller, where="--controller")
     return Prepared(whole, sections, chosen, files, "",
@@ -217,10 +216,12 @@ def _bench(chosen: BusSettings) -> str:
     return bench_model.from_tables(tables, str(simulated)).bench or chosen.bench
 
 
-def known_effects(model: Path | BenchModel | None) -> Effects:
-    """Effects of a bench model; none without a model."""
-    found = _read(model)
-    return {} if found is None else found.effects
+def beyond(*models: Path | BenchModel | None) -> dict[str, Any]:
+    """Return `known`, effects, and `terms` beyond the calibration that bench models state, as an experiment has them.
+    """
+    read = [model for model in map(_read, models) if model is not None]
+    return {"known": {name: values for model in read for name, values in model.effects.items()},
+            "terms": tuple(term for model in read for term in model.terms)}
 
 
 def perform(

@@ -146,6 +146,11 @@ class EvidenceFinder:
             part=decided.part, evidence=evidence, traces=figures.traces(trials),
             held_traces=kept.traces(holdout) if kept is not None else {})
 
+    def observed(self, trials: Sequence[Table]) -> tuple[ReferenceFit, Observed]:
+        """Return the reference condition and the data of trials of one session under it."""
+        reference, outputs = self.reference(trials), self._outputs(trials)
+        return reference, reference.observe(*(self._read(t, outputs) for t in trials))
+
     @property
     def kind(self) -> str:
         """Return the kind of the reference condition: healthy (reference trials), calibration or nominal."""

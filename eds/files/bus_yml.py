@@ -12,8 +12,13 @@ from typing import Any, Final
 
 from eds.cia305 import UNCONFIGURED
 from parameters import InputError
+from parameters.files import content as file_content
 from parameters.files import write_whole
 
+LONGEST: Final = 1 << 18
+"""Bytes of a file: a bus of 127 devices with every PDO has fewer. PyYAML reads them in about three seconds."""
+MOST_NODES: Final = 1 << 17
+"""Values of a file with every alias written out: more than `LONGEST` bytes hold without aliases."""
 _SECTIONS: Final = ("options", "master", "defaults", "nodes")
 _PDO_KEYS: Final = ("enabled", "cob_id", "transmission", "inhibit_time", "event_timer", "mapping")
 _HEX: Final = ("index", "cob_id", "vendor_id", "product_code", "revision_number", "serial_number", "error_behavior")
@@ -91,11 +96,15 @@ class BusYml:
 def read(path: Path) -> BusYml:
     """Read a file; raises `InputError` where it cannot be read or is no bus configuration."""
     yaml = _yaml()
+    raw = file_content(path, "a bus.yml", limit=LONGEST)
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a bus.yml.") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        text = raw.decode("utf-8")
+        if _size(yaml.compose(text, Loader=yaml.SafeLoader), yaml, {}) > MOST_NODES:
+            raise InputError(f"{path}: its aliases stand for more than {MOST_NODES} values; it is no bus.yml.")
+        content = yaml.load(text, Loader=yaml.SafeLoader)
+    except InputError:
+        raise
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: is no YAML ({' '.join(str(error).split())}); give a bus.yml.") from None
     if not isinstance(content, Mapping) or not isinstance(content.get("master"), Mapping):
         raise InputError(f"{path}: has no section `master`; give a bus.yml of ros2_canopen.")
@@ -123,6 +132,19 @@ def text_of(content: Mapping[str, Any]) -> str:
 def write(path: Path, content: Mapping[str, Any], *, overwrite: bool = False) -> None:
     """Write a file whole."""
     write_whole(path, text_of(content), overwrite=overwrite)
+
+
+def _size(node: Any, yaml: Any, known: dict[int, int]) -> int:
+    """Return the number of values that a node of a YAML file stands for, each alias counted as a copy.
+
+    A node that contains itself counts as more than `MOST_NODES`.
+    """
+    if id(node) not in known:
+        known[id(node)] = MOST_NODES
+        below = [part for pair in node.value for part in pair] if isinstance(node, yaml.MappingNode) else (
+            node.value if isinstance(node, yaml.SequenceNode) else [])
+        known[id(node)] = 1 + sum(_size(part, yaml, known) for part in below)
+    return known[id(node)]
 
 
 class _HexNumber(int):

@@ -9,7 +9,7 @@ effect.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -21,9 +21,11 @@ from physics import inverse
 from physics.calibration import Calibration, scalars
 from physics.conversions import MEASURABLE, from_scalars, to_scalars
 from physics.effects.catalogue import CATALOGUE, Trajectory, Values, compensate, complete
+from physics.effects.term_inverse import undone
 from physics.laws import Array
 from physics.parameters import BY_PLANT
 from physics.plant.leg import KNEE_AT_FIT
+from physics.terms import Term
 
 Effects = Mapping[str, Values]
 
@@ -85,16 +87,17 @@ class Correction:
         return outputs._replace(servo_target_m=outputs.servo_target_m + self.rope_m[sample % len(self.rope_m)])
 
 
-def correction(calibration: Calibration, gait: GaitTable, rest: Effects, *, adapts: bool) -> Correction | None:
-    """Tabulate the compensation of the effects `rest` beyond `calibration`; None without effects.
+def correction(calibration: Calibration, gait: GaitTable, rest: Effects, terms: Sequence[Term] = (), *, adapts: bool
+               ) -> Correction | None:
+    """Tabulate the compensation of the effects `rest` and of `terms` beyond `calibration`; None without either.
 
     `adapts`: the controller measures friction during homing, so only the departure from it is tabulated.
     """
-    if not rest:
+    if not rest and not terms:
         return None
     base = _course(calibration, gait)
     known = {"mu2": calibration.fabric_friction, "fabric_wrap": calibration.wrap_slope}
-    met, home = compensate(base, rest, known), compensate(_homed(calibration), rest, known)
+    met, home = (undone(compensate(course, rest, known), terms, gait.samples) for course in (base, _homed(calibration)))
     if adapts:
         measured = calibration.cable_exponent + float(fabric_exponent(calibration, KNEE_AT_FIT))
         share = measured / max(float(home.cable_exponent[0] + home.fabric_exponent[0]), LEAST_EXPONENT)

@@ -131,12 +131,12 @@ def _error_code(exchange: Exchange, node: int) -> str:
 
 
 def quick_stop(exchange: Exchange) -> None:
-    """Quick stop for the servo (0x605A = 2 by its set-up); the knee drive holds."""
+    """Quick stop for the servo (0x605A = 2 by its set-up); the knee drive holds its target."""
     exchange.command(0x0002, _OPERATE)
 
 
 def release(exchange: Exchange, knee_too: bool = False) -> None:
-    """The servo's torque off at once; the knee drive holds, unless its torque goes too."""
+    """The servo's torque off at once; the knee drive holds its target, unless its torque goes too."""
     exchange.command(0x0000, 0x0000 if knee_too else _OPERATE)
 
 

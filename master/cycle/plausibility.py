@@ -53,7 +53,7 @@ NORMAL_STRETCH = NORMAL_FORCE + FORCE_TERMS * (FORCE_TERMS + 1)
 STATES = NORMAL_STRETCH + STRETCH_TERMS * (STRETCH_TERMS + 1)
 
 (PERIOD_S, BANDWIDTH, CYCLES, LEARNED, SWING_K, KNEE_HOME, ROPE_COMPLIANCE, PRESLIDING, INERTIA, COULOMB, VISCOUS,
- OFFSET, C0, C1, C2, TOP_N, LOW, HIGH, PERSIST, KNOWN_FLOW, WITH_END, WITH_KNEE, SETTINGS) = range(23)
+ OFFSET, C0, C1, C2, TOP_N, LOW, HIGH, KNOWN_FLOW, WITH_END, WITH_KNEE, SETTINGS) = range(22)
 
 LEARNING, LEARNT = 0.0, 1.0
 TRACK_M, TRACK_SHARE = 1.5e-3, 0.35
@@ -76,7 +76,11 @@ FROZEN, FROZEN_M = 3.0, 0.1e-3
 """Frozen servo position: cycles at one value, and motion of the target meanwhile, m, from which another finding is
 explained.
 """
-STILL_M, STILL_RAD, STILL_CYCLES = 0.5e-3, 3e-3, 6.0
+STILL_M, STILL_RAD = 0.3e-3, 1.5e-3
+PERSIST: Final = 2.0
+"""Cycles in a row beyond a tolerance that make a finding: one alone is a disturbed frame.  In 500 healthy trials not
+even a single cycle passed a tolerance (`make healthy`).  Larger: each cycle adds 50 degrees/s to a knee that a
+reversed stage drives."""
 DOUBT: Final = 0.8
 """Normalised residual from which on a limit that was passed may be the consequence of something else."""
 
@@ -106,25 +110,24 @@ def _tracking(s: Any, g: Any, limited: float, target: float, knee_target: float,
     s[HELD_BACK] = max(limited, (1.0 - fade) * s[HELD_BACK])
     lag = abs(s[T2] - s[PREDICTED]) + abs(s[T2] - s[T1])
     _compare(s, SERVO_TRACK, position, s[PREDICTED], TRACK_M + TRACK_SHARE * lag + 2.0 * s[HELD_BACK])
-    _standing(s, g, STILL_SERVO, SAME_SERVO, position, s[T2], STILL_M + 2.0 * limited)
+    _standing(s, STILL_SERVO, SAME_SERVO, position, s[PREDICTED], STILL_M + 2.0 * limited)
     if g[WITH_KNEE] > 0.0:
         moved = abs(s[K1] - s[K2]) + abs(knee_target - s[K1])
         reached = _held(knee, min(s[K1], s[K2]), max(s[K1], s[K2]))
         _compare(s, KNEE_TRACK, knee, reached, KNEE_RAD + KNEE_S * moved / g[PERIOD_S])
-        _standing(s, g, STILL_KNEE, SAME_KNEE, knee, s[K2], STILL_RAD)
+        _standing(s, STILL_KNEE, SAME_KNEE, knee, s[K2], STILL_RAD)
     else:
         s[OLD_KNEE] = knee
     s[T2], s[T1], s[K2], s[K1] = s[T1], target, s[K1], knee_target
 
 
 @njit(inline="always")
-def _standing(s: Any, g: Any, relation: int, same: int, value: float, target: float, room: float) -> None:
-    """An encoder that repeats itself to the last bit while its target has gone on."""
+def _standing(s: Any, relation: int, same: int, value: float, target: float, room: float) -> None:
+    """An encoder that repeats itself to the last bit while what it follows has gone on."""
     if value != s[same + 2] or s[FRESH] <= 1.0:
         s[same], s[same + 2], s[same + 4] = 0.0, value, target
     s[same] += 1.0
-    moved = target if s[same] > STILL_CYCLES else s[same + 4]
-    _compare(s, relation, moved, s[same + 4], room)
+    _compare(s, relation, target, s[same + 4], room)
 
 
 @njit(inline="always")
@@ -303,7 +306,7 @@ def _compile() -> Any:
             _stretch(s, g, middle, position, knee, start, end)
             _still(s, g, start, end)
         for relation in range(RELATIONS):
-            if s[COUNTS + relation] >= g[PERSIST]:
+            if s[COUNTS + relation] >= PERSIST:
                 return relation
         return -1
 
@@ -361,7 +364,6 @@ class Plausibility:
         g[PRESLIDING], g[ROPE_COMPLIANCE] = 5e-4, 3.7e-5
         g[INERTIA], g[COULOMB], g[VISCOUS] = 2.4, 2.0, 15.0
         g[LOW], g[HIGH] = -WIDE / 1.3, WIDE / 1.3
-        g[PERSIST] = 4.0 if period_s < 5e-3 else 2.0
         g[TOP_N], g[WITH_END], g[WITH_KNEE] = 40.0, float(with_end), float(with_knee)
 
     def restart(self) -> None:
@@ -412,8 +414,9 @@ class Plausibility:
         seen, expected = float(s[READINGS + 2 * relation]), float(s[READINGS + 2 * relation + 1])
         swing, bent = float(g[SWING_K]), float(s[OLD_KNEE] - g[KNEE_HOME])
         fits = swing + (seen - expected) / bent if relation in (BY_START, BY_END) and abs(bent) > 0.1 else swing
+        frozen = bool(s[SAME_SERVO] >= FROZEN and abs(s[PREDICTED] - s[LED_SERVO]) > FROZEN_M)
         return Implausibility(relation, seen, expected, tuple(float(value) for value in s[RATIOS:RATIOS + RELATIONS]),
-                              swing, fits, bool(s[SAME_SERVO] >= FROZEN and abs(s[T2] - s[LED_SERVO]) > FROZEN_M))
+                              swing, fits, frozen)
 
     def learn(self, quadratic: float, linear: float) -> Learned:
         """Take over what homing showed; `quadratic`, `linear`: the calibration's (10), the rope's own with it."""

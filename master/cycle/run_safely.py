@@ -29,6 +29,7 @@ from master.cycle.shared_exchange import Running, SharedExchange
 from master.cycle.stop_request import requested
 from master.network import bringup
 from master.network.bus_watch import BusWatch
+from master.network.drive_limits import drive_limits
 from master.network.host_computer import collector_frozen
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
@@ -84,7 +85,7 @@ def run_safely(
         exchange: Running = (Exchange(link, described, log, guard(described, network.bench.force_paths[0]), budget_ns)
                              if len(described.paths) == 1 else SharedExchange(link, described, log, guard, budget_ns))
         started_ns = link.clock()
-        stop = _prepare(exchange, described)
+        stop = _prepare(exchange, described, limits)
         if stop is None:
             stop = _attempt(exchange, described, perform)
         log.quiet = True
@@ -97,11 +98,11 @@ def run_safely(
                    "" if stop is None else stop.condition.name)
 
 
-def _prepare(exchange: Running, described: WireLayout) -> StopError | None:
+def _prepare(exchange: Running, described: WireLayout, limits: Limits) -> StopError | None:
     """Bring the nodes up; where that fails no drive was enabled, and the bench of another master is let be."""
     link = exchange.link
     try:
-        bringup.bring_up(link, described, exchange.log)
+        bringup.bring_up(link, described, exchange.log, drive_limits(described, limits))
         link.emergencies.clear()
         link.watch = BusWatch(described, link.returned)
     except bringup.RivalError as error:

@@ -21,11 +21,12 @@ from master.network.link import LinkError
 _START_BIT = 1 << START
 _SERVO_BIT = 1 << SERVO
 _END_BIT = 1 << END
-QUICK_STOP_NS = 80_000_000
 DISABLE_NS = 120_000_000
 SLACK_NS = 100_000_000
 GRACE_NS = 50_000_000
 SLACK_N = 5.0
+AT_REST_RAD_S = 0.2
+"""Speed of a held knee from which on it is let go, rad/s: a leg coasts by less than 1 degree from there."""
 RISE, RISE_N = 1.03, 0.5
 """Allowed rise of a reading above the greatest one at the stop's beginning: noise, and less than 5 %."""
 PROGRESS = 0.95
@@ -43,10 +44,12 @@ def safe_stop(exchange: Running, stop: StopError) -> None:
     reaction = reaction_to(stop, exchange.wire.paths)
     exchange.log.event(exchange.link.clock(), "safety", "master", f"{stop}: {reaction.value}.")
     try:
+        free = {path.path.knee for path in exchange.paths if reaction is Reaction.RELEASE_BOTH
+                and stop.node_id in path.path}
         if reaction is not Reaction.UNWIND or not _unwind(exchange):
             for path in exchange.paths:
-                drives.release(path, knee_too=reaction is Reaction.RELEASE_BOTH and stop.node_id in path.path)
-            together(exchange, [_slackening(path) for path in exchange.paths])
+                drives.release(path, knee_too=path.path.knee in free)
+        together(exchange, [_settling(path, path.path.knee not in free) for path in exchange.paths])
         _finish(exchange)
     except (StopError, BringUpError, LinkError) as error:
         exchange.log.event(exchange.link.clock(), "safety", "master", f"the stop was cut short: {error}.")
@@ -67,7 +70,6 @@ def _unwind(exchange: Running) -> bool:
         return False
     for path in exchange.paths:
         drives.quick_stop(path)
-    together(exchange, [_stopping(path) for path in exchange.paths])
     return True
 
 
@@ -103,31 +105,29 @@ def _not_unwound(exchange: Exchange, why: str) -> bool:
     return False
 
 
-def _stopping(exchange: Exchange) -> Work[None]:
-    """Wait until the servo has stopped and left OPERATION ENABLED by itself (0x605A = 2)."""
-    deadline = exchange.inputs.sync_ns + QUICK_STOP_NS
-    while exchange.inputs.sync_ns < deadline:
-        yield Answer(*exchange.targets)
-        inputs = exchange.inputs
-        silent = inputs.missing & _SERVO_BIT
-        if not silent and state_of(inputs.servo_status) not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
-            return
+def _settling(exchange: Exchange, held: bool) -> Work[None]:
+    """Wait until the servo is off, the rope slack and a `held` knee at rest: let go in mid-swing, it would coast on.
 
-
-def _slackening(exchange: Exchange) -> Work[None]:
-    """Check that the rope goes slack after the torque was taken off; a stage that does not let go needs the
-    operator's hand."""
-    inputs = exchange.inputs
-    deadline = inputs.sync_ns + SLACK_NS
-    while inputs.start_n >= SLACK_N or inputs.end_n >= SLACK_N:
+    A stage that does not let go needs the operator's hand.
+    """
+    inputs, knee = exchange.inputs, math.nan
+    deadline, still = inputs.sync_ns + SLACK_NS, AT_REST_RAD_S * exchange.wire.period_ns * 1e-9
+    while (taut := inputs.start_n >= SLACK_N or inputs.end_n >= SLACK_N) or _powered(inputs) or (
+            held and exchange.knee_driven and not abs(inputs.knee_angle_rad - knee) < still):
         if inputs.sync_ns >= deadline:
-            exchange.log.event(
-                exchange.link.clock(), "safety", "master",
-                f"{_readings(inputs)} with the servo's torque off: "
-                "press the emergency stop (STO).")
+            if taut:
+                exchange.log.event(exchange.link.clock(), "safety", "master",
+                                   f"{_readings(inputs)} with the servo's torque off: press the emergency stop (STO).")
             return
+        knee = inputs.knee_angle_rad
         yield Answer(*exchange.targets)
         inputs = exchange.inputs
+
+
+def _powered(inputs: Inputs) -> bool:
+    """Return whether the servo reports torque; it ends a quick stop by itself (0x605A = 2)."""
+    return not inputs.missing & _SERVO_BIT and state_of(inputs.servo_status) in (
+        State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
 
 
 def _readings(inputs: Inputs) -> str:

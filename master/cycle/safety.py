@@ -45,7 +45,7 @@ class Reaction(Enum):
 
     UNWIND = "pay the rope out to below 2 N, then quick stop"
     RELEASE = "servo torque off, the rope goes slack"
-    RELEASE_BOTH = "torque off at both drives: the knee cannot be held by an angle that is not believed"
+    RELEASE_BOTH = "torque off at both drives, the knee is not held by a drive or an angle that is not trusted"
     ABANDON = "nothing can be sent: the drives react by 0x6007"
 
 
@@ -62,34 +62,22 @@ class StopError(Exception):
 _UNWIND, _RELEASE = Reaction.UNWIND, Reaction.RELEASE
 NOBODY: Final = -1
 """Number of a condition that names no device."""
-_BY_PLACE: Final = {SERVO: _RELEASE, KNEE: _RELEASE, START: _RELEASE, END: _UNWIND}
-"""Reaction to the loss of each node: without START no signal shows when the rope is slack; without the servo nothing
-can unwind it; a knee without torque loads the rope faster than it is unwound."""
-
-REACTIONS: Final = MappingProxyType({
-    **{(Condition.NODE_LOST, place): reaction for place, reaction in _BY_PLACE.items()},
-    **{(Condition.LEFT, place): reaction for place, reaction in _BY_PLACE.items()},
-    **{(Condition.EMERGENCY, place): reaction for place, reaction in _BY_PLACE.items()},
-    **{(Condition.BOOTED, place): reaction for place, reaction in _BY_PLACE.items()},
-    **{(Condition.STALE, place): reaction for place, reaction in _BY_PLACE.items()},
-    **{(Condition.IMPLAUSIBLE, place): _RELEASE for place in (NOBODY, SERVO, START, END)},
-    (Condition.OFF_TARGET, SERVO): _RELEASE,
-    **{(condition, KNEE): Reaction.RELEASE_BOTH
-       for condition in (Condition.IMPLAUSIBLE, Condition.OFF_TARGET, Condition.OUT_OF_LIMITS)},
-    (Condition.FOREIGN, NOBODY): _RELEASE,
-    (Condition.NOT_ENABLED, SERVO): _RELEASE,
-    (Condition.NOT_ENABLED, KNEE): _RELEASE,
+_BY_PLACE: Final = {SERVO: _RELEASE, KNEE: Reaction.RELEASE_BOTH, START: _RELEASE, END: _UNWIND, NOBODY: _UNWIND}
+"""Reaction by the named device: without START no signal shows when the rope is slack; without the servo nothing can
+unwind it; a knee drive that is named can neither brake nor hold by its own angle."""
+_OTHERWISE: Final = {
     (Condition.START_LIMIT, START): _UNWIND,
     (Condition.END_LIMIT, END): _RELEASE,
+    (Condition.IMPLAUSIBLE, END): _RELEASE,
+    (Condition.IMPLAUSIBLE, NOBODY): _RELEASE,
+    (Condition.FOREIGN, NOBODY): _RELEASE,
     (Condition.SYNC_LOST, NOBODY): _RELEASE,
     (Condition.BUS_LOST, NOBODY): Reaction.ABANDON,
-    (Condition.RECORDING, NOBODY): _UNWIND,
-    (Condition.CONTROLLER, NOBODY): _UNWIND,
-    (Condition.INTERRUPTED, NOBODY): _UNWIND,
-    (Condition.REFUSED, NOBODY): _UNWIND,
-    (Condition.FAILED, NOBODY): _UNWIND,
-})
-"""Reaction by condition and kind of the named device. A node that is not of the bench unwinds."""
+}
+REACTIONS: Final = MappingProxyType(
+    {(condition, place): _OTHERWISE.get((condition, place), reaction)
+     for condition in Condition for place, reaction in _BY_PLACE.items()})
+"""Reaction by condition and place of the named device."""
 
 
 def place_of(node_id: int, paths: Sequence[PathNodes]) -> int | None:
@@ -102,4 +90,4 @@ def place_of(node_id: int, paths: Sequence[PathNodes]) -> int | None:
 def reaction_to(stop: StopError, paths: Sequence[PathNodes]) -> Reaction:
     """Return the reaction of the table; an unknown node unwinds."""
     place = place_of(stop.node_id, paths)
-    return _UNWIND if place is None else REACTIONS.get((stop.condition, place), _UNWIND)
+    return _UNWIND if place is None else REACTIONS[stop.condition, place]

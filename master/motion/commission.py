@@ -33,6 +33,8 @@ Procedure = Callable[[Exchange], Mapping[str, float]]
 AXES: Final = {"servo": SERVO, "knee": KNEE}
 SENSORS: Final = {"start": START, "end": END}
 REST_S: Final = 0.5
+CHECK_S: Final = 2.0
+"""Time from the first cycle to a reading of a set-up check, s: a weight that swings, or a leg that is moved, rests."""
 TARE_LIMIT_N: Final = 5.0
 """A slack rope's offset is below this; a reading above it is tension, and zeroing it would hide it."""
 REACH_M: Final = 0.2
@@ -73,6 +75,19 @@ def tare(sensor: str) -> Procedure:
                                "the sensor")
         _zero(exchange, node, before)
         return {"before_n": before, "after_n": _mean(exchange, place)}
+
+    return procedure
+
+
+def reading(of: str) -> Procedure:
+    """Read a load cell, N, or the knee, rad, at rest; no drive is enabled. Raises `InputError` for an unknown name."""
+    place = _one_of(of, {**SENSORS, "knee": KNEE}, "sensor")
+
+    def procedure(exchange: Exchange) -> Mapping[str, float]:
+        if not exchange.path[place]:
+            raise BringUpError(f"the declared bench has no {of}; check one that it has")
+        moves.settle(exchange, CHECK_S)
+        return {"reading": _mean(exchange, place)}
 
     return procedure
 
@@ -207,12 +222,12 @@ def _one_of(name: str, known: Mapping[str, int], what: str) -> int:
 
 
 def _mean(exchange: Exchange, place: int) -> float:
-    """Return the mean reading, N, of a sensor at rest."""
+    """Return the mean reading of a load cell, N, or of the knee, rad, at rest."""
     bit, readings = 1 << place, []
     for _ in range(max(1, round(REST_S * 1e9 / exchange.wire.period_ns))):
         inputs = exchange.hold()
         if not inputs.missing & bit:
-            readings.append(inputs.start_n if place == START else inputs.end_n)
+            readings.append({START: inputs.start_n, END: inputs.end_n, KNEE: inputs.knee_angle_rad}[place])
     return float(np.mean(readings)) if readings else math.nan
 
 

@@ -34,6 +34,7 @@ from parameters import InputError
 from physics import inverse
 from physics.calibration import Calibration, nominal, refuse_beyond_validity, said_of
 from physics.reference import Reference
+from physics.terms import Term
 
 KNEE_SAMPLES = 400
 """Points of a gait cycle at which a knee motion is held against the limits."""
@@ -44,7 +45,7 @@ class ExperimentSetup:
     """An experiment to run: declared sections, a reference and a calibration; `dry_run` never enables a drive.
 
     `motion`, if given, is the knee's true motion: the controller still expects `reference`. `known`: effects beyond
-    the calibration that the controller compensates, name → values.
+    the calibration that the controller compensates, name → values; `terms`: modulated constants beyond it.
     """
 
     reference: Reference
@@ -57,6 +58,7 @@ class ExperimentSetup:
     dry_run: bool = False
     motion: Reference | None = None
     known: Effects = field(default_factory=dict)
+    terms: tuple[Term, ...] = ()
     record: settings.Record = field(default_factory=settings.Record)
 
 
@@ -146,7 +148,8 @@ class Planned:
         samples = self.table.samples
         self.first = gait.run_in_sample(self.table)
         self.rest = gait.resting_sample(self.idle, samples // 20, samples // 2)
-        self.undone = {id(table): correction(calibration, table, rest, adapts=self.kind.uses_homing_fit)
+        self.undone = {id(table): correction(
+            calibration, table, rest, experiment.terms, adapts=self.kind.uses_homing_fit)
                        for table in (self.table, self.idle, *self.rising)}
         self.homed: Homed | None = None
         self.impedance, slowed = derated(

@@ -128,7 +128,7 @@ def steps(
             raise StopError(Condition.CONTROLLER, f"{name} {_wrong(servo, knee, trace, own)}, "
                                                   f"{_place(i, samples, number(sample))}")
         yield Answer(servo, knee if knee_at is None else knee_at(sample), CycleAnnotations(
-            gait_percent=100.0 * i / samples, cycle=number(sample), desired_force_n=trace.desired_force_n,
+            gait_percent=100.0 * i / samples, cycle=number(sample), desired_force_n=desired[i],
             estimated_end_force_n=trace.estimated_end_force_n, estimated_end_half_n=trace.estimated_end_half_n,
             feedforward_m=trace.feedforward_m, impedance_dx_m=trace.impedance_dx_m,
             friction_ratio=trace.friction_ratio, rope_direction=trace.rope_direction,

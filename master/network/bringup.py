@@ -6,13 +6,15 @@ enabled, and a drive that is found enabled loses its torque first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Final, Protocol
 
 from eds.bench.bench_network import MASTER, NodeEntry, WireLayout
 from eds.cia301 import SYNC_COB_ID, NmtCommand, NmtState
-from eds.datatype import encode
+from eds.datatype import decode, encode
 from eds.dictionary import key
+from master.network.drive_limits import DriveLimit
 from master.network.link import Link
 from master.network.sdo import SdoError
 
@@ -23,6 +25,9 @@ _IDENTITY = {1: "vendor-ID", 2: "product code", 3: "revision number"}
 _VERIFY_OBJECT = 0x1020
 _CONFIGURED = {1: "configuration date", 2: "configuration time"}
 _DEVICE_TYPE, _IDENTITY_OBJECT, _CONTROLWORD = 0x1000, 0x1018, 0x6040
+
+
+_NO_LIMITS: Final[Mapping[int, Sequence[DriveLimit]]] = MappingProxyType({})
 
 
 class BringUpError(Exception):
@@ -43,10 +48,13 @@ class BringUpLog(Protocol):
         """Record the frames that wait at the monitor socket."""
 
 
-def bring_up(link: Link, wire: WireLayout, log: BringUpLog) -> dict[int, int]:
+def bring_up(
+    link: Link, wire: WireLayout, log: BringUpLog, limits: Mapping[int, Sequence[DriveLimit]] = _NO_LIMITS,
+) -> dict[int, int]:
     """Bring every node of `wire` to OPERATIONAL with its set-up written; returns their serial numbers.
 
-    Drives come out with their power stage off.  Raises `BringUpError` with the node's name and the reason.
+    `limits` are those that each drive is to hold itself, by node id: written, and read back.  Drives come out with
+    their power stage off.  Raises `BringUpError` with the node's name and the reason.
     """
     refuse_rival(link)
     entries = [wire.nodes[node] for node in sorted(wire.nodes)]
@@ -60,6 +68,8 @@ def bring_up(link: Link, wire: WireLayout, log: BringUpLog) -> dict[int, int]:
         log.drain()
     for entry in entries:
         _configure(link, wire, entry)
+        for limit in limits.get(entry.node_id, ()):
+            _limit(link, entry, limit)
         log.event(link.clock(), "nmt", entry.name, "configured.")
         log.drain()
     for entry in entries:
@@ -155,6 +165,21 @@ def _configure(link: Link, wire: WireLayout, entry: NodeEntry) -> None:
         except SdoError as error:
             asked = f"{declared.name} = {value!r}"
             raise BringUpError(f"{entry.name} does not take its set-up: {error} ({asked}).") from None
+
+
+def _limit(link: Link, entry: NodeEntry, limit: DriveLimit) -> None:
+    """Write a limit into its drive and read it back; raises `BringUpError` for a drive that does not take it."""
+    declared = entry.dictionary.entries[key(limit.index, limit.subindex)]
+    where = f"{entry.name} (node {entry.node_id}): {declared.name} (0x{limit.index:04X}:{limit.subindex:02X})"
+    try:
+        link.sdo_write(entry.node_id, limit.index, limit.subindex, encode(declared.data_type, limit.value))
+        found = decode(declared.data_type, link.sdo_read(entry.node_id, limit.index, limit.subindex))
+    except (SdoError, ValueError) as error:
+        raise BringUpError(f"{where} does not take {limit.value} ({limit.text}), its limit of {limit.function}: "
+                           f"{error}; raise the limit in [limits], or use a drive that takes it.") from None
+    if found != limit.value:
+        raise BringUpError(f"{where} reads {found!r} after {limit.value} ({limit.text}) was written, its limit of "
+                           f"{limit.function}; a drive that does not keep its limits is not enabled.")
 
 
 def _start(link: Link, entry: NodeEntry) -> None:

@@ -40,6 +40,8 @@ DOUBLED: Final = 3
 DOUBLED_WITHIN: Final = 20
 RETURNED: Final = 64
 """Frames sent last among which a returned one is looked for: more than a burst of a bring-up."""
+EXTENDED: Final = 1 << 29
+"""Key of all extended identifiers in `BusWatch.counts`: beyond the largest of them, so that their counts are one."""
 _WRITES: Final = {0: "a segment of an SDO write", 1: "an SDO write", 6: "an SDO block write", 4: "an SDO abort"}
 _DIRECTIONS: Final[Mapping[int, str]] = {int(command): command.name.replace("_", " ") for command in NmtCommand}
 
@@ -91,9 +93,9 @@ class BusWatch:
             return
         time_ns = stamp_ns(message)
         if message.is_extended_id or message.is_remote_frame:
-            self._count(can_id, time_ns)
+            self._count(EXTENDED if message.is_extended_id else can_id, time_ns)
             kind = "remote" if message.is_remote_frame else "extended"
-            self._tell(time_ns, can_id, f"{kind} frame {can_id:X}h, which nobody here owns", moves=False)
+            self._tell(time_ns, can_id, f"{kind} frame {can_id:X}h, which nobody here owns", moves=False, kind=kind)
             return
         if can_id in self._nodes or (self._returned is not None and self._is_own(can_id, bytes(message.data))):
             return
@@ -106,7 +108,8 @@ class BusWatch:
         if can_id in self.own:
             self._commanded(time_ns, can_id, bytes(message.data))
         else:
-            self._tell(time_ns, can_id, *self._described(can_id, bytes(message.data)))
+            text, moves, kind = self._described(can_id, bytes(message.data))
+            self._tell(time_ns, can_id, text, moves, kind)
 
     def _is_own(self, can_id: int, data: bytes) -> bool:
         """Whether a frame on an interface that returns the master's frames is, or may be, the master's own."""
@@ -131,24 +134,27 @@ class BusWatch:
             what = "targets" if can_id in self._targets else "controlwords"
             self._tell(time_ns, can_id, f"{what} ({can_id:X}h) from another master", moves=True)
 
-    def _described(self, can_id: int, data: bytes) -> tuple[str, bool]:
+    def _described(self, can_id: int, data: bytes) -> tuple[str, bool, str]:
+        """Return the meaning of a frame in words, whether it can move anything, and its kind: "" for the text itself.
+        """
         if can_id == NMT_COB_ID:
             command = _DIRECTIONS.get(data[0], f"{data[0]:02X}h") if data else "empty"
             node = data[1] if len(data) > 1 else 0
             whom = "all nodes" if node == 0 else self._names.get(node, f"node {node}")
-            return f"NMT {command} to {whom} from another master", True
+            return f"NMT {command} to {whom} from another master", True, ""
         node = can_id & 0x7F
         if can_id - node == SDO_REQUEST_BASE and node in self._names:
             write = _WRITES.get(data[0] >> 5) if data else None
             at = f" of {int.from_bytes(data[1:3], 'little'):04X}:{data[3]:02X}" if len(data) >= 4 else ""
-            return f"{write or 'an SDO read'}{at} to {self._names[node]} from somebody else", write is not None
+            text = f"{write or 'an SDO read'}{at} to {self._names[node]} from somebody else"
+            return text, write is not None, "" if write else f"SDO read {node}"
         if can_id == HEARTBEAT_BASE + MASTER:
-            return f"heartbeat of another master (node {MASTER})", True
+            return f"heartbeat of another master (node {MASTER})", True, ""
         if can_id == LSS:
-            return "LSS command from somebody else", True
+            return "LSS command from somebody else", True, ""
         if can_id > HEARTBEAT_BASE and can_id < HEARTBEAT_BASE + 0x80:
-            return f"heartbeat of node {node}, which is none of this bench", False
-        return f"identifier {can_id:X}h, which nobody here owns", False
+            return f"heartbeat of node {node}, which is none of this bench", False, ""
+        return f"identifier {can_id:X}h, which nobody here owns", False, "unknown"
 
     def _count(self, can_id: int, time_ns: int) -> None:
         self.counts[can_id] = self.counts.get(can_id, 0) + 1
@@ -160,17 +166,21 @@ class BusWatch:
             most = max(self.counts, key=self.counts.__getitem__)
             span_ms = (time_ns - self._recent[-frames]) / 1e6
             self._tell(time_ns, most, f"babbler: {frames} frames that are nobody's within {span_ms:.1f} ms, most of "
-                                      f"them {most:X}h", moves=True)
+                                      f"them {_shown(most)}", moves=True)
 
-    def _tell(self, time_ns: int, can_id: int, text: str, moves: bool) -> None:
-        if text not in self._reported and len(self._reported) < 256:
-            self._reported.add(text)
+    def _tell(self, time_ns: int, can_id: int, text: str, moves: bool, kind: str = "") -> None:
+        if (kind or text) not in self._reported:
+            self._reported.add(kind or text)
             self.found.append(Stranger(time_ns, can_id, text, moves))
 
     def summary(self) -> list[str]:
         """Return the number of frames of each identifier that was logged once, the most frequent first."""
         often = sorted(((count, can_id) for can_id, count in self.counts.items() if count > 1), reverse=True)
-        return [f"{can_id:X}h came {count} times" for count, can_id in often[:8]]
+        return [f"{_shown(can_id)} came {count} times" for count, can_id in often[:8]]
+
+
+def _shown(can_id: int) -> str:
+    return "extended identifiers" if can_id == EXTENDED else f"{can_id:X}h"
 
 
 def stamp_ns(message: can.Message) -> int:

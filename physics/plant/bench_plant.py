@@ -6,7 +6,7 @@ protocol `Plant` can run behind the same nodes (entry-point group `bowden.plants
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import cos, isfinite
 from typing import Final, NamedTuple, Protocol
 
@@ -17,8 +17,10 @@ from physics.laws import Array
 from physics.plant import step, truth_row
 from physics.plant.derived import derive, settle
 from physics.plant.leg import GRAVITY
+from physics.plant.modulated import extend
 from physics.plant.state_layout import NODES, SIZE, SLOT, PlantParameters
 from physics.plant.step import STEP_NS
+from physics.terms import Term
 
 __all__ = ["STEP_NS", "BowdenPlant", "JointState", "Outputs", "Plant", "PlantParameters", "create", "prepare"]
 
@@ -88,6 +90,11 @@ class BowdenPlant:
         self._now_ns += steps * STEP_NS
         step.advance(self._memory, steps, servo_torque_nm, knee_torque_nm)
         return Outputs._make(self._out.tolist())
+
+    def extend(self, terms: Sequence[Term], where: str) -> None:
+        """Let parameters follow `terms`; raises `InputError`, which names `where`, for one that a plant cannot follow.
+        """
+        extend(self._memory, terms, where)
 
     @property
     def joint(self) -> JointState:

@@ -63,6 +63,7 @@ def derive(m: Array, p: PlantParameters) -> None:
     _masses(m, stiffness)
     _surfaces(m, p)
     m[SLOT.free] = p.slack_m
+    m[SLOT.term_start_gain] = m[SLOT.term_end_gain] = 1.0
 
 
 def _shares(p: PlantParameters) -> Array:

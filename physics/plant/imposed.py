@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -22,8 +23,10 @@ from physics.plant import step
 from physics.plant.chain import creep, refresh_friction, slide, tensions
 from physics.plant.derived import derive, settle
 from physics.plant.leg import GRAVITY, anchor
+from physics.plant.modulated import extend, modulate
 from physics.plant.state_layout import CABLE_NODES, NODES, SIZE, SLOT, PlantParameters
 from physics.plant.step import SLOW, digest
+from physics.terms import Term
 
 STEP_S: Final = 2.0 * step.STEP_S
 """Longest step: without drives the chain is all that is quick, and its fastest mode turns by twice `derived.TURN`, one
@@ -45,6 +48,7 @@ class Tensions(NamedTuple):
 def _placed(m: Any, drum: float, drum_v: float, knee: float, knee_w: float) -> float:
     """Put node 0 and the anchor where the measurement had them; return the velocity of the knee's surface, m/s."""
     m[SLOT.x], m[SLOT.v] = drum, drum_v
+    m[SLOT.servo_x], m[SLOT.servo_v], m[SLOT.leg_q] = drum, drum_v, knee
     if m[SLOT.eccentricity_m] != 0.0:
         radius = m[SLOT.drum_radius_m]
         turn = (drum + m[SLOT.encoder_zero_m]) / radius + m[SLOT.eccentricity_rad]
@@ -61,6 +65,7 @@ def _moved(m: Any, surface: float, knee: float, n: int, dt: float) -> None:
     """Advance the cable nodes between the two driven ends by one step."""
     if n % SLOW == 0:
         drift = max(0.05, 1.0 + m[SLOT.friction_drift] * n * dt / m[SLOT.friction_drift_s])
+        modulate(m, n * dt, SLOW * dt)
         refresh_friction(m, abs(knee), surface, drift, SLOW * dt)
         creep(m, SLOW * dt)
     tensions(m)
@@ -83,9 +88,9 @@ def _compile(sources: int) -> Any:
             u = time[k] - time[j]
             q = leg[3, j] + u * (leg[2, j] + u * (leg[1, j] + u * leg[0, j]))
             swing = 2.0 * leg[1, j] + 6.0 * leg[0, j] * u
-            start[k] = m[SLOT.tension]
-            end[k] = m[SLOT.tension + NODES] + m[SLOT.end_mass_kg] * (
-                GRAVITY * math.cos(q) + m[SLOT.end_mass_arm_m] * swing)
+            start[k] = m[SLOT.term_start_gain] * m[SLOT.tension] + m[SLOT.term_start_n]
+            carried = m[SLOT.end_mass_kg] * (GRAVITY * math.cos(q) + m[SLOT.end_mass_arm_m] * swing)
+            end[k] = m[SLOT.term_end_gain] * (m[SLOT.tension + NODES] + carried) + m[SLOT.term_end_n]
             if k == time.size - 1:
                 break
             span = time[k + 1] - time[k]
@@ -130,11 +135,15 @@ def motion(time_s: Array, servo_position_m: Array, knee_angle_rad: Array) -> Imp
     return ImposedMotion(time, _spline(time, rope), _spline(time, knee))
 
 
-def simulate(parameters: PlantParameters, moved: ImposedMotion) -> Tensions:
-    """Return both tensions, N, that the simulated bench of `parameters` has under a measured motion, one per sample."""
+def simulate(parameters: PlantParameters, moved: ImposedMotion, terms: Sequence[Term] = ()) -> Tensions:
+    """Return both tensions, N, that the simulated bench of `parameters` has under a measured motion, one per sample.
+
+    Terms of sensors act on the tensions, too.
+    """
     memory = np.zeros(SIZE)
     derive(memory, parameters)
     settle(memory, parameters)
+    extend(memory, terms, "simulate")
     start, end = np.empty(moved.time.size), np.empty(moved.time.size)
     rope = moved.rope.copy()
     rope[3] -= parameters.encoder_zero_m

@@ -20,6 +20,10 @@ CABLE_NODES: Final = 6
 FABRIC_NODES: Final = 5
 NODES: Final = CABLE_NODES + FABRIC_NODES
 ELEMENTS: Final = NODES + 1
+MODULATIONS_MOST: Final = 4
+"""Most rows of terms that the plant follows: three terms, one of which may need a second row (`plant.modulated`)."""
+TERM_WIDTH: Final = 11
+"""Numbers of a row: present, target, modulation, relative, base, two parameters, two coefficients, two states."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,8 @@ _SCALARS: Final = (
     "out_servo_x", "out_servo_v", "out_motor_q", "out_motor_w", "out_leg_q", "out_start", "out_end",
     # what only the truth tells
     "bus_v", "leg_friction",
+    # readings of START and END are gain·tension + N under terms that act on them
+    "term_start_gain", "term_start_n", "term_end_gain", "term_end_n",
 )
 _ARRAYS: Final = {
     # nodes 1…NODES between the drum's rope (0) and the leg's anchor (NODES + 1)
@@ -44,6 +50,7 @@ _ARRAYS: Final = {
     "inverse_mass": NODES + 2, "inverse_delta": NODES + 2,
     # elements 0…NODES: element e joins nodes e and e + 1
     "tension": ELEMENTS, "free": ELEMENTS, "damping": ELEMENTS, "share": ELEMENTS, "per_share": ELEMENTS,
+    "terms": MODULATIONS_MOST * TERM_WIDTH,
 }
 
 

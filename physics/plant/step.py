@@ -17,6 +17,7 @@ from numba import njit
 from physics.path_laws import presliding_step, stribeck
 from physics.plant.chain import creep, refresh_friction, slide, tensions
 from physics.plant.leg import GRAVITY, anchor, knee_limit, reducer
+from physics.plant.modulated import modulate
 from physics.plant.motor import current_step, supply
 from physics.plant.state_layout import CABLE_NODES, NODES, SLOT
 
@@ -77,6 +78,7 @@ def slow(m: Any, seconds: float) -> None:
     """Update the slow states, `SLOW` steps after the last update."""
     flexion = abs(m[SLOT.leg_q])
     drift = max(0.05, 1.0 + m[SLOT.friction_drift] * seconds / m[SLOT.friction_drift_s])
+    modulate(m, seconds, SLOW * STEP_S)
     refresh_friction(m, flexion, m[SLOT.v + NODES + 1], drift, SLOW * STEP_S)
     creep(m, SLOW * STEP_S)
 
@@ -118,15 +120,17 @@ def _compile(sources: int) -> Any:
         carried = GRAVITY * math.cos(m[SLOT.leg_q]) + m[SLOT.end_mass_arm_m] * swing
         m[SLOT.out_servo_x], m[SLOT.out_servo_v] = m[SLOT.servo_x] + m[SLOT.encoder_zero_m], m[SLOT.servo_v]
         m[SLOT.out_motor_q], m[SLOT.out_motor_w] = m[SLOT.motor_q], m[SLOT.motor_w]
-        m[SLOT.out_leg_q], m[SLOT.out_start] = m[SLOT.leg_q], m[SLOT.tension]
-        m[SLOT.out_end] = m[SLOT.tension + NODES] + m[SLOT.end_mass_kg] * carried
+        m[SLOT.out_leg_q] = m[SLOT.leg_q]
+        m[SLOT.out_start] = m[SLOT.term_start_gain] * m[SLOT.tension] + m[SLOT.term_start_n]
+        end = m[SLOT.tension + NODES] + m[SLOT.end_mass_kg] * carried
+        m[SLOT.out_end] = m[SLOT.term_end_gain] * end + m[SLOT.term_end_n]
 
     return advance
 
 
 SOURCES: Final = (
     "laws", "parameters", "path_laws", "plant/motor", "plant/cable", "plant/fabric", "plant/leg", "plant/state_layout",
-    "plant/chain", "plant/step",
+    "plant/chain", "plant/modulated", "plant/step",
 )
 
 

@@ -43,8 +43,12 @@ def test_the_configuration_that_a_trial_carries_names_the_device(bench: Path) ->
 
 
 def test_check_passes_a_device_that_fits(bench: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
+    """It fits the wire; that nobody holds its torque needs a reason."""
     status, out, _ = bowden("check", "config", bench, "--json")
-    assert (status, "streams" in json.loads(out)) == (0, True)
+    assert (status, "streams" in json.loads(out)) == (1, True)
+    assert json.loads(out)["held_by_nobody"] == ["torque of the joint drive of knee"]
+    bench.write_text(TABLE + '[limits]\nraised = "its maker bounds the torque at 8 N·m"\n')
+    assert bowden("check", "config", bench, "--json")[0] == 0
 
 
 def test_check_says_what_a_device_lacks(bench: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:

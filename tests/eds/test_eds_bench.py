@@ -116,7 +116,7 @@ def test_set_up_starts_the_supervision(wire):
 def test_the_servo_lets_go_and_the_knee_holds(wire):
     servo, knee = (apply(wire.nodes[n].dictionary, wire.setup(n)) for n in bench_network.DRIVES)
     assert (servo[key(0x605A)], servo[key(0x605E)], servo[key(0x6007)]) == (2, 0, 2)
-    assert (knee[key(0x605A)], knee[key(0x6007)]) == (6, 3)
+    assert (knee[key(0x605A)], knee[key(0x605E)], knee[key(0x6007)]) == (2, 0, 3)
     assert servo[key(0x6060)] == knee[key(0x6060)] == 8
 
 

@@ -1,157 +1,186 @@
-"""Writes docs/faults.md from the verdicts of the matrix.
+"""Writes docs/faults.csv, docs/faults.svg and docs/faults.md from the verdicts of the matrix.
 
-Every figure of the page comes from a verdict; the words around the tables are here.
+The table file has every row; page and picture are made from it, so that a run of some rows replaces those rows alone.
 """
 
 # ruff: noqa: E501 — the page's own lines
 
 from __future__ import annotations
 
+import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from tests.faults.argument import ACTIONS, HAZARDS
 from tests.faults.judge import (
-    END_LIMIT_N,
     LEG_DEG,
     MOMENT_N,
-    OVER,
-    PULL,
     SLACK_MS,
-    SLACK_N,
-    SLOW_MS,
-    START_LIMIT_N,
-    STOP_MS,
+    STOP,
     UNSAID_MS,
     UNSAID_N,
     Verdict,
+    beyond_stop,
 )
-from tests.faults.stage import PEAK_N, SEED, WALK
+from tests.faults.stage import PEAK_N, SEED
 
+BOUNDS = tuple((name, *of) for name, of in STOP.items())
+WORST = 5
+UNSAID = "<!-- search -->"
 HEAD = f"""# What happens when something breaks
 
-Written by `make faults` (`python -m tests.faults.run --stealth --page docs/faults.md`) from the rows of `tests/faults/rows.py` and
-`tests/faults/slow.py`. A run of some rows (`--kind`, `--stealth`) replaces its own part of this page. Unless a row says otherwise it is a gait of
-{PEAK_N:g} N and {WALK.period_s:g} s on the virtual bus ({WALK.cycles} cycles, controller `{WALK.controller}`, serial 1, seed {SEED}), broken at the moment named
-(ramp 14.5 %, peak 20 %, idle 60 % of the first cycle; start: before bring-up), and compared with its twin, the same trial unbroken.
+`make faults` breaks a {PEAK_N:g} N trial of the virtual bus (serial 1, seed {SEED}) in every way of `tests/faults/rows.py` and `tests/faults/slow.py`,
+compares it with its twin, the same trial unbroken, and goes on until the bench stands still. [faults.csv](faults.csv) has one row for each run: the fault, its
+moment (per cent of the first gait cycle; ramp 14.5, peak 20, idle 60; "s": seconds of another motion; start: before bring-up), controller, period and
+bench, when it was said and in which words, and what was measured. This page shows the worst of them.
 
-| column | meaning | bound |
-|---|---|---|
-| said after | from the fault to the first event that speaks of it, ms | |
-| true peak | greatest true START / END afterwards, N | {OVER * START_LIMIT_N:.0f} / {OVER * END_LIMIT_N:.0f} |
-| END off | greatest departure of true END from the twin's while nothing was said: for a moment / for {UNSAID_MS} ms, N | {MOMENT_N:g} (slow faults) / {UNSAID_N:g} |
-| leg | greatest departure of the true knee angle from the twin's while nothing was said, degrees; slow faults | {LEG_DEG:g} |
-| slack | from the stop's decision until both true tensions stay below {SLACK_N:g} N, ms | {SLACK_MS:.0f}; {SLOW_MS:.0f} where the knee stands or falls |
-| pull | greatest true tension after the decision by the greatest of: what it was then, {SLACK_N:g} N, and what it becomes with a servo stage that is dead from 0.6 ms later on (momentum and knee: no command acts sooner) | {PULL:g} |
-| stop | from the decision until the servo is last seen enabled, ms | {STOP_MS:.0f} |
-| log | a row for every cycle up to the end, and the stop's own event | whole |
-"""
-AT_ONCE, SLOW, UNSAID = PARTS = ("at once", "slow", "unsaid")
-"""Parts of the page: faults that begin at once, slow faults, and the search of `tests.faults.stealth`."""
-_ENDS = "<!-- end of {} -->"
+![Every stop of the matrix against its bounds](faults.svg)
+
+| measure of a stop | column | bound | meaning |
+|---|---|---|---|
+""" + "\n".join(f"| {words} | `{name}` | {bound:g} {unit} | {meaning} |" for name, words, unit, bound, meaning in BOUNDS)
+
+
+def read(path: Path) -> list[Verdict]:
+    """Return the verdicts of a table file; none where there is no file."""
+    if not path.exists():
+        return []
+    kinds = {name: type(Verdict._field_defaults.get(name, "")) for name in Verdict._fields}
+    kinds |= dict.fromkeys(("detected_ms", "peak_start_n", "peak_end_n", "apart_n", "unsaid_n"), float)
+    kinds |= {"named": bool, "whole": bool, "faults": tuple}
+    with path.open(encoding="utf-8", newline="") as file:
+        return [Verdict(**{name: _value(kinds[name], text) for name, text in row.items()}) for row in csv.DictReader(file)]
+
+
+def _value(kind: type[Any], text: str) -> Any:
+    if kind is bool:
+        return text == "yes"
+    if kind is tuple:
+        return tuple(text.split("; ")) if text else ()
+    return kind(text or "nan") if kind is float else text
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, tuple):
+        return "; ".join(value)
+    if isinstance(value, float):
+        return "" if math.isnan(value) else f"{value:.4g}"
+    return str(value)
 
 
 def write(path: Path, found: Sequence[Verdict], unsaid: Sequence[str] = ()) -> None:
-    """Write the page; a part that has no results here is kept as the file at `path` has it."""
-    parts = kept(path.read_text(encoding="utf-8")) if path.exists() else {}
-    for name, slow in ((AT_ONCE, False), (SLOW, True)):
-        mine = [verdict for verdict in found if verdict.gradual == slow]
-        if mine:
-            parts[name] = "\n".join(_part(mine, slow))
-    if unsaid:
-        parts[UNSAID] = "\n".join(unsaid).strip()
-    path.write_text("\n".join([HEAD, *(f"{parts[name]}\n\n{_ENDS.format(name)}\n" for name in PARTS if name in parts)]),
-                    encoding="utf-8")
+    """Write the table file, the picture and the page at `path`; rows and a search that did not run are kept."""
+    table = path.with_suffix(".csv")
+    rows = {(v.name, v.moment, v.walk): v for v in (*read(table), *found)}
+    with table.open("w", encoding="utf-8", newline="") as file:
+        out = csv.writer(file, lineterminator="\n")
+        out.writerow(Verdict._fields)
+        out.writerows([_text(value) for value in verdict] for verdict in rows.values())
+    searched = path.read_text(encoding="utf-8").partition(UNSAID)[2] if path.exists() else ""
+    searched = "\n".join(("", "", *unsaid)).replace("\n\n\n", "\n\n") + "\n" if unsaid else searched
+    picture(path.with_suffix(".svg"), read(table))
+    path.write_text(f"{HEAD}\n\n{chr(10).join(_summary(read(table)))}\n\n{UNSAID}{searched}", encoding="utf-8")
 
 
-def kept(page: str) -> dict[str, str]:
-    """Return the parts of a page by name, without the marks at their ends."""
-    parts, at = {}, page.find("\n## ")
-    for name in PARTS:
-        end = page.find(_ENDS.format(name), at)
-        if end >= 0:
-            parts[name] = page[at:end].strip()
-            at = end + len(_ENDS.format(name))
-    return parts
+def picture(path: Path, found: Iterable[Verdict]) -> None:
+    """Draw every stop as a point against the bounds of its measures."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    stops = [v for v in found if not math.isnan(v.torque_ms)]
+    with rc_context({"svg.hashsalt": "faults", "svg.fonttype": "none"}):
+        figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        for axes, (x, y) in ((left, (BOUNDS[0], BOUNDS[1])), (right, (BOUNDS[4], BOUNDS[2]))):
+            for listed, colour, label in ((False, "tab:blue", "master's stop"), (True, "tab:orange", "listed with a reason")):
+                mine = [v for v in stops if bool(v.unstoppable) is listed]
+                axes.scatter([getattr(v, x[0]) for v in mine], [getattr(v, y[0]) for v in mine], s=5, color=colour, label=label)
+            axes.axvline(x[3], color="0.4", lw=0.8, ls="--")
+            axes.axhline(y[3], color="0.4", lw=0.8, ls="--")
+            axes.set_xlabel(f"{x[1]} ({x[2]})")
+            axes.set_ylabel(f"{y[1]} ({y[2]})")
+        right.legend(loc="upper right", fontsize=7)
+        figure.savefig(path, metadata={"Date": None})
 
 
-def _part(found: Sequence[Verdict], slow: bool) -> list[str]:
-    """Return the lines of one table with its bounds, and the reasons under it."""
-    broken = [verdict for verdict in found if verdict.faults]
-    count = f"{len({v.name for v in found})} faults, {len(found)} rows"
-    lines = (["## Slow faults", "", f"{count} with their gaits of six cycles and their moments."] if slow else
-             ["## Faults that begin at once", "", f"{count} with their moments."])
-    lines[-1] += " Every row keeps its bounds or has a reason below." if not broken else " Beyond a bound:"
-    if slow:
-        lines[-1] += f" Gaits (controller, period): {'; '.join(sorted({v.walk for v in found}))}."
-    lines += ["", *(f"- {v.name}, {v.moment}, {v.walk}: {'; '.join(v.faults)}" for v in broken), *([""] if broken else [])]
-    gait, leg = ("gait | ", "leg | ") if slow else ("", "")
-    lines += [f"| fault | at | {gait}said after | true peak | END off | {leg}slack | pull | stop | log | said |",
-              "|---|---|---|---|---|---|---|---|---|---|" + "---|---|" * slow]
-    lines += [_row(verdict, slow) for verdict in found]
-    lines += ["", "### By unsafe control action", "", *_by_action(found)]
-    lines += ["", "### Time by hazard", "", *_by_hazard(found)]
-    quiet = {v.name: v.excuse for v in found if v.excuse and math.isnan(v.detected_ms)}
+def _summary(found: Sequence[Verdict]) -> list[str]:
+    """Return the lines of the page between its head and the search."""
+    stops = [v for v in found if not math.isnan(v.torque_ms)]
+    broken = [v for v in found if v.faults]
+    lines = [f"{len({v.name for v in found})} faults, {len(found)} rows over {len({v.walk for v in found})} motions; {len(stops)} stops, {len(broken)} rows "
+             "beyond a bound.", "", "## Worst rows of each measure", "", "| measure | worst, bound | fault | at | motion | said |", "|---|---|---|---|---|---|"]
+    for name, words, unit, bound, _ in BOUNDS:
+        mine = sorted((v for v in stops if not v.unstoppable), key=lambda v: -getattr(v, name))[:WORST]
+        lines += [f"| {words} | {getattr(v, name):.0f} of {bound:g} {unit} | {v.name} | {v.moment} | {v.walk} | {_said(v)} |" for v in mine]
+    if broken:
+        lines += ["", "## Rows beyond a bound", "", "| fault | at | motion | what |", "|---|---|---|---|"]
+        lines += [f"| {v.name} | {v.moment} | {v.walk} | {'; '.join(v.faults)} |" for v in broken]
+    reasons = {v.name: v.unstoppable for v in stops if v.unstoppable and beyond_stop(v)}
+    if reasons:
+        lines += ["", "## Stops that cannot keep the bounds, and why", ""]
+        lines += [f"- {name}: {_stop_of(name, found)}; {reason}." for name, reason in reasons.items()]
     over = {v.name: v.beyond for v in found if v.beyond and (
         v.apart_n > MOMENT_N or v.unsaid_n > UNSAID_N or v.leg_deg > LEG_DEG)}
     if over:
-        lines += ["", "### Bounds that are not kept, and why", ""]
-        lines += [f"- {name}: {_worst(name, found)}; {reason}." for name, reason in over.items()]
+        lines += ["", "## Slow faults that depart further before they are said, and why", ""]
+        lines += [f"- {name}: {_unsaid_of(name, found)}; {reason}." for name, reason in over.items()]
+    quiet = {v.name: v.excuse for v in found if v.excuse and math.isnan(v.detected_ms)}
     if quiet:
-        lines += ["", "### What goes unsaid, and why no signal could show it", ""]
+        lines += ["", "## What goes unsaid, and why no signal could show it", ""]
         lines += [f"- {name}: {excuse}." for name, excuse in quiet.items()]
-    return lines
+    return [*lines, "", "## By unsafe control action", "", *_by_action(found), "", "## Time by hazard", "", *_by_hazard(found)]
 
 
-def _by_action(found: Sequence[Verdict]) -> list[str]:
-    """Return the table of unsafe control actions (STPA) with what their rows did."""
-    lines = ["| unsafe control action | leads to | required | faults, rows | said | unsaid | "
-             "END off | true peak START / END, N |", "|---|---|---|---|---|---|---|---|"]
-    for action in ACTIONS:
-        mine = [v for v in found if v.action == action.words]
-        if not mine:
-            continue
-        unsaid = sum(math.isnan(v.detected_ms) for v in mine)
-        lines.append(
-            f"| {action.words} | {action.hazard} | {action.required} | {len({v.name for v in mine})}, {len(mine)} | "
-            f"{len(mine) - unsaid} | {unsaid} | {max(v.apart_n for v in mine):.1f} / {max(v.unsaid_n for v in mine):.1f} | "
-            f"{max(v.peak_start_n for v in mine):.0f} / {max(v.peak_end_n for v in mine):.0f} |")
-    return lines
+def _said(v: Verdict) -> str:
+    return (v.said.replace("|", "/") or "–")[:90]
 
 
-def _by_hazard(found: Sequence[Verdict]) -> list[str]:
-    """Return the table of time until a fault is said and until the rope is slack, against what is tolerated."""
-    lines = [f"Unsafe time is the time with true END more than {UNSAID_N:g} N, or the leg more than {LEG_DEG:g}°, off before it is "
-             f"said; tolerated are {UNSAID_MS} ms of it, and then {SLACK_MS:.0f} ms until the rope is slack ({SLOW_MS:.0f} ms "
-             "where the knee stands or falls).", "", "| hazard | faults | unsafe time, most, ms | until slack, most, ms | together, most, ms |",
-             "|---|---|---|---|---|"]
-    for hazard in HAZARDS:
-        words = {action.words for action in ACTIONS if action.hazard == hazard}
-        mine = [v for v in found if v.action in words and not v.excuse]
-        if not mine:
-            continue
-        slack = [0.0 if math.isnan(v.slack_ms) else v.slack_ms for v in mine]
-        both = [v.exposed_ms + after for v, after in zip(mine, slack, strict=True)]
-        lines.append(f"| {hazard} | {len({v.name for v in mine})} | {max(v.exposed_ms for v in mine):.0f} "
-                     f"| {max(slack):.0f} | {max(both):.0f} |")
-    return lines
+def _stop_of(name: str, found: Sequence[Verdict]) -> str:
+    """Return the worst of each measure over a fault's rows."""
+    mine = [v for v in found if v.name == name and not math.isnan(v.torque_ms)]
+    return ", ".join(f"{words} {max(getattr(v, column) for v in mine):.0f} {unit}" for column, words, unit, _, _ in BOUNDS)
 
 
-def _worst(name: str, found: Sequence[Verdict]) -> str:
+def _unsaid_of(name: str, found: Sequence[Verdict]) -> str:
     """By how much the worst row of a fault moved END and the leg unsaid."""
     mine = [v for v in found if v.name == name]
     return (f"END off by up to {max(v.apart_n for v in mine):.1f} N, {max(v.unsaid_n for v in mine):.1f} N for {UNSAID_MS} "
             f"ms, the leg by {max(v.leg_deg for v in mine):.1f}°, true tension {max(v.peak_end_n for v in mine):.0f} N")
 
 
-def _row(v: Verdict, slow: bool) -> str:
-    said = v.said.replace("|", "/") or "–"
-    gait, leg = (f"{v.walk} | ", f"{v.leg_deg:.1f} | ") if slow else ("", "")
-    return (f"| {v.name} | {v.moment} | {gait}{_number(v.detected_ms, 1)} | {v.peak_start_n:.0f} / {v.peak_end_n:.0f} "
-            f"| {v.apart_n:.1f} / {v.unsaid_n:.1f} | {leg}{_number(v.slack_ms)} | {_number(v.pulled, 2)} "
-            f"| {_number(v.stop_ms)} | {'whole' if v.whole else 'torn'} | {said} |")
+def _by_action(found: Sequence[Verdict]) -> list[str]:
+    """Return the table of unsafe control actions (STPA) with what their rows did."""
+    lines = ["| unsafe control action | leads to | required | faults, rows | said | unsaid | "
+             "END off, N | leg off in the stop, degrees | END in the stop, N |", "|---|---|---|---|---|---|---|---|---|"]
+    for action in ACTIONS:
+        mine = [v for v in found if v.action == action.words]
+        if mine:
+            unsaid = sum(math.isnan(v.detected_ms) for v in mine)
+            lines.append(
+                f"| {action.words} | {action.hazard} | {action.required} | {len({v.name for v in mine})}, {len(mine)} | "
+                f"{len(mine) - unsaid} | {unsaid} | {max(v.apart_n for v in mine):.1f} | "
+                f"{_most(mine, 'off_deg'):.0f} | {_most(mine, 'stop_end_n'):.0f} |")
+    return lines
 
 
-def _number(value: float, digits: int = 0) -> str:
-    return "–" if math.isnan(value) else f"{value:.{digits}f}"
+def _most(found: Sequence[Verdict], name: str) -> float:
+    """Return the greatest value of a measure over the rows that were stopped."""
+    return max((getattr(v, name) for v in found if not math.isnan(getattr(v, name))), default=0.0)
+
+
+def _by_hazard(found: Sequence[Verdict]) -> list[str]:
+    """Return the table of time until a fault is said and until the rope is slack, against what is tolerated."""
+    lines = [f"Unsafe time is the time with true END more than {UNSAID_N:g} N, or the leg more than {LEG_DEG:g}°, off before it is "
+             f"said; tolerated are {UNSAID_MS} ms of it, and then {SLACK_MS:.0f} ms until the rope is slack.", "",
+             "| hazard | faults | unsafe time, most, ms | until slack, most, ms | until no torque, most, ms |", "|---|---|---|---|---|"]
+    for hazard in HAZARDS:
+        words = {action.words for action in ACTIONS if action.hazard == hazard}
+        mine = [v for v in found if v.action in words and not v.excuse and not v.unstoppable]
+        if mine:
+            lines.append(f"| {hazard} | {len({v.name for v in mine})} | {max(v.exposed_ms for v in mine):.0f} "
+                         f"| {_most(mine, 'slack_ms'):.0f} | {_most(mine, 'torque_ms'):.0f} |")
+    return lines

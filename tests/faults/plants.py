@@ -7,13 +7,15 @@ The rule of this file: until a row breaks something it is the bench's own plant,
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from parameters import from_table
-from physics.plant.bench_plant import BowdenPlant, Outputs, PlantParameters
+from physics.plant.bench_plant import BowdenPlant, JointState, Outputs, PlantParameters
 from physics.plant.derived import derive
 from physics.plant.state_layout import NODES, SLOT
+from virtual_bus import build
 
 Torques = tuple[float, float]
 Stage = Callable[[int, float, float], Torques]
@@ -27,16 +29,17 @@ made: list[Breakable] = []
 class Breakable(BowdenPlant):
     """The bench's own plant; `stage` alters torques (ns, N·m, N·m), `sense` what is felt.
 
-    `true` keeps time and both tensions (ns, N, N) of every millisecond, `leg` the knee angle with them, rad.
+    `true` has a row for every millisecond: time, ns, both tensions, N, knee angle, rad, and the torques of servo and
+    knee drive, N·m.  `led`: another plant moves the joint.
     """
 
-    __slots__ = ("leg", "sense", "stage", "true")
+    __slots__ = ("led", "sense", "stage", "true")
 
     def __init__(self, parameters: PlantParameters) -> None:
         self.stage: Stage | None = None
         self.sense: Sense | None = None
-        self.true: list[tuple[int, float, float]] = []
-        self.leg: list[float] = []
+        self.led = False
+        self.true: list[tuple[int, float, float, float, float, float]] = []
         super().__init__(parameters)
 
     def advance(self, until_ns: int, servo_torque_nm: float, knee_torque_nm: float) -> Outputs:
@@ -44,10 +47,16 @@ class Breakable(BowdenPlant):
         if self.stage is not None:
             servo_torque_nm, knee_torque_nm = self.stage(until_ns, servo_torque_nm, knee_torque_nm)
         felt = super().advance(until_ns, servo_torque_nm, knee_torque_nm)
-        if until_ns % 1_000_000 == 0:
+        if until_ns % 1_000_000 == 0 and (not self.true or self.true[-1][0] < until_ns):
             m = self._memory
-            self.true.append((until_ns, float(m[SLOT.tension]), float(m[SLOT.tension + NODES])))
-            self.leg.append(felt.knee_angle_rad)
+            self.true.append((until_ns, float(m[SLOT.tension]), float(m[SLOT.tension + NODES]), felt.knee_angle_rad,
+                              servo_torque_nm, knee_torque_nm))
+        return felt if self.sense is None else self.sense(until_ns, felt)
+
+    def advance_led(self, until_ns: int, servo_torque_nm: float, joint: JointState) -> Outputs:
+        """As the bench's own plant, with the joint moved by another plant, and what a row has broken."""
+        self.led = True
+        felt = super().advance_led(until_ns, servo_torque_nm, joint)
         return felt if self.sense is None else self.sense(until_ns, felt)
 
     def snap(self, element: int, by_m: float = 1.0) -> None:
@@ -67,6 +76,17 @@ def breakable(parameters: dict[str, float], seed: int) -> Breakable:
     del seed
     made.append(Breakable(from_table(PlantParameters, parameters, where="plant")))
     return made[-1]
+
+
+@contextmanager
+def in_place() -> Iterator[None]:
+    """Make breakable plants in place of the bench's own: an antagonist's plant can be no plug-in."""
+    own = build.OWN["bowden"]
+    build.OWN["bowden"] = "tests.faults.plants:breakable"
+    try:
+        yield
+    finally:
+        build.OWN["bowden"] = own
 
 
 # ---- stages: what becomes of the torques that the drives ask for ----

@@ -23,13 +23,10 @@ import numpy as np
 
 from eds.bench.bench_network import MASTER
 from eds.cia301 import Frame
-from master import settings
 from master.motion import experiment_run as trials
 from master.network.link import Link
-from physics.reference import paper_reference
-from tests.faults import plants
+from tests.faults import motions, plants
 from tests.faults.argument import LYING_TENSION, UnsafeAction
-from trial.signals import INDEX
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
 from virtual_bus.kernel import TIMER
@@ -41,26 +38,34 @@ PEAK_N, SEED = 40.0, 3
 
 
 class Walk(NamedTuple):
-    """The gait that a row breaks: its period, s, controller and number of gait cycles.
+    """The motion that a row breaks: gait period, s, controller and number of gait cycles.
 
-    `moments`, where there are any: rows begin in this gait at those of their moments alone.
+    `moments`, where there are any: rows begin in this gait at those of their moments alone.  `shape`: the packaged
+    declaration of the bench.  `motion`: the gait, or what a person runs before it.
     """
 
     period_s: float = 1.1
     controller: str = "paper"
     cycles: int = 2
     moments: tuple[str, ...] = ()
+    shape: str = "bench"
+    motion: str = "gait"
 
     def __str__(self) -> str:
-        return f"{self.controller}, {self.period_s:g} s"
+        motion = f"{self.controller}, {self.period_s:g} s" if self.motion == "gait" else self.motion
+        return motion if self.shape == "bench" else f"{motion}, {self.shape}"
 
 
 WALK = Walk()
-MOMENTS = {"start": -1.0, "ramp": 14.5, "peak": 20.0, "release": 26.0, "idle": 60.0}
+OF_GAIT = tuple(f"{percent} %" for percent in range(0, 100, 5))
+OF_MOTION = tuple(f"{tenths / 10:g} s" for tenths in range(2, 60, 6))
+MOMENTS = {"start": -1.0, "ramp": 14.5, "peak": 20.0, "release": 26.0, "idle": 60.0,
+           **{moment: float(moment[:-2]) for moment in OF_GAIT}}
 """Per cent of the first gait cycle at which a row's fault begins; "start": before the trial."""
-CYCLE, PERCENT = INDEX["cycle"], INDEX["gait_percent"]
-COMMAND_NS = 600_000
-"""The master's turnaround, the controlword's frame and a drive's tick: no command acts sooner."""
+TIMES = {moment: float(moment[:-2]) for moment in OF_MOTION}
+"""Time from the first row of another motion at which a row's fault begins, s."""
+STAND_S = 1.0
+"""Time for which the bench is watched after the program's end, s: a leg without torque has come to rest."""
 _CHANNELS = itertools.count()
 
 
@@ -110,7 +115,9 @@ class Scene(NamedTuple):
         elif kind in OF_A_NODE | {"babble"}:
             outages.arrange(bench.kernel, lambda: bench.medium, (bench.host, *bench.nodes.values()), [fault],
                             bench.wire.bit_ns)
-            outages.wired(bench.kernel, [fault], bench.machine.trouble)  # type: ignore[attr-defined, union-attr]
+            for machine in getattr(bench.machine, "machines", (bench.machine,)):
+                if fault.node in machine.felt:
+                    outages.wired(bench.kernel, [fault], machine.trouble)
 
 
 @dataclass
@@ -118,8 +125,9 @@ class Row:
     """One fault of the matrix.
 
     `named`: the names (`names.name_of`) that are right in the stop's reason or, with `event`, in an event.
-    `silent`: why no signal could show it, where it is allowed to go unsaid.  `needs_sto`: the servo's stage conducts by
-    itself, and only the emergency stop ends that.  `gradual`: it may go unsaid as long as END and the leg keep their
+    `silent`: why no signal could show it, where it is allowed to go unsaid.  `unstoppable`: the physical reason why no
+    stop of the master keeps the bounds, or those of the measures `excused` alone.  `quiet`: it may go unsaid where it
+    does no harm.  `gradual`: it may go unsaid as long as END and the leg keep their
     bounds; `beyond`: why they cannot keep them.  `action`: what the fault makes unsafe.  `experiment` alters what is
     run, for rows that begin at the start.
     """
@@ -130,8 +138,9 @@ class Row:
     moments: tuple[str, ...] = ("ramp", "peak", "idle")
     event: bool = False
     silent: str = ""
-    needs_sto: bool = False
-    slow: bool = False
+    unstoppable: str = ""
+    excused: tuple[str, ...] = ()
+    quiet: bool = False
     experiment: Callable[[trials.ExperimentSetup], trials.ExperimentSetup] = field(default=lambda given: given)
     run: dict[str, Any] = field(default_factory=dict)
     walks: tuple[Walk, ...] = (WALK,)
@@ -141,16 +150,17 @@ class Row:
 
 
 class Sink:
-    """A recorder in memory that also says when a moment has come."""
+    """A recorder in memory that also says when a moment has come; `at`: the column of a signal of the first path."""
 
-    def __init__(self) -> None:
+    def __init__(self, walk: Walk, at: dict[str, int]) -> None:
         self.rows: list[tuple[int, tuple[float, ...]]] = []
         self.events: list[tuple[int, str, str, str]] = []
         self.frames = 0
         self.moment: Callable[[str], None] = lambda moment: None
-        self.stopping: Callable[[], None] = lambda: None
         self.raising: Exception | None = None
-        self._due = [name for name in MOMENTS if name != "start"]
+        self._gait, self._cycle, self._percent = walk.motion == "gait", at["cycle"], at["gait_percent"]
+        moments = MOMENTS if self._gait else TIMES
+        self._due = sorted((name for name in moments if name != "start"), key=moments.__getitem__)
 
     def frame(self, time_ns: int, can_id: int, data: bytes, flags: int = 0, channel: int = 0, sent: bool = False
               ) -> None:
@@ -158,38 +168,40 @@ class Sink:
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None:
         self.rows.append((time_ns, tuple(values)))
-        while self._due and values[CYCLE] == 0.0 and values[PERCENT] >= MOMENTS[self._due[0]]:
+        while self._due and self._come(time_ns, values):
             self.moment(self._due.pop(0))
         if self.raising is not None:
             error, self.raising = self.raising, None
             raise error
 
+    def _come(self, time_ns: int, values: Sequence[float]) -> bool:
+        if self._gait:
+            return values[self._cycle] == 0.0 and values[self._percent] >= MOMENTS[self._due[0]]
+        return (time_ns - self.rows[0][0]) * 1e-9 >= TIMES[self._due[0]]
+
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
-        first = kind == "safety" and all(known[1] != "safety" for known in self.events)
         self.events.append((time_ns, kind, source, text))
-        if first:
-            self.stopping()
 
 
 @dataclass
 class Told:
-    """What a row's process found: times in ns on the bus's clock."""
+    """What a row's process found: times in ns on the bus's clock; `paths` has the truth of each force path."""
 
     name: str
     moment: str
     fault_ns: int
     reason: str | None
     events: list[tuple[int, str, str, str]]
-    true: Any
-    leg: Any
+    paths: list[Any]
     rows: int
     whole: bool
     last_ns: int
-    off_ns: int
     crashed: str = ""
-    floor_n: float = 0.0
-    """Greatest true tension from the stop's decision on with a servo that gives no torque from `COMMAND_NS` after
-    it on: what momentum and the knee bring, whatever a stop does."""
+
+    @property
+    def true(self) -> Any:
+        """Truth of the path that is broken."""
+        return self.paths[0]
 
 
 def trial(rows: Sequence[Row], jobs: int = 2, walk: Walk = WALK, **bench: Any) -> tuple[list[Told], Told]:
@@ -200,11 +212,6 @@ def trial(rows: Sequence[Row], jobs: int = 2, walk: Walk = WALK, **bench: Any) -
         return stage.collected(), twin
 
 
-def _without_servo(stage: plants.Stage | None) -> plants.Stage:
-    """The same stages, the servo's giving nothing."""
-    return lambda now_ns, servo, knee: (0.0, knee if stage is None else stage(now_ns, servo, knee)[1])
-
-
 class _Stage:
     def __init__(self, folder: Path, rows: Sequence[Row], jobs: int, options: dict[str, Any], walk: Walk) -> None:
         self.folder, self.rows, self.jobs, self.options, self.walk = folder, rows, jobs, options, walk
@@ -212,50 +219,48 @@ class _Stage:
         self.numbers = itertools.count()
         self.me: tuple[Row, str, int, Path] | None = None
         self.scene: Scene | None = None
-        self.floor: Callable[[], None] | None = None
+        self.by_hand = False
 
     def run(self) -> Told:
         """The unharmed trial, from bring-up to its end; in a child: that row's."""
-        run = trials.ExperimentSetup(
-            paper_reference(PEAK_N, self.walk.period_s),
-            gait=settings.Gait(peak_n=PEAK_N, period_s=self.walk.period_s, cycles=self.walk.cycles, settle=0,
-                               controller=self.walk.controller))
+        alter: Callable[[trials.ExperimentSetup], trials.ExperimentSetup] = lambda given: given  # noqa: E731
         for row in self.rows:
             if "start" in row.moments and self._fork(row, "start", 0):
-                run = row.experiment(run)
+                alter = row.experiment
                 break
         self._wait(0)
-        return self._one(run)
+        return self._one(motions.planned(self.walk, PEAK_N, alter))
 
-    def _one(self, run: trials.ExperimentSetup) -> Told:
+    def _one(self, motion: motions.Motion) -> Told:
         channel = f"faults-{os.getpid()}-{next(_CHANNELS)}"
-        given: dict[str, Any] = {
-            "plant": "tests.faults.plants:breakable", "seed": SEED, "serial": 1,
-            "faults": [{"kind": "drop", "cob_id": 0x7FF, "start_s": 1e8}], **self.options}
+        options: dict[str, Any] = {
+            "seed": SEED, "serial": 1, "rate_hz": motion.network.rate_hz,
+            "faults": [{"kind": "drop", "cob_id": 0x7FF, "start_s": 1e8}], **motion.options, **self.options}
         if self.me is not None:
-            given.update(self.me[0].run)
-        bus = BowdenBus(channel, **given)
+            options.update(self.me[0].run)
+        before = len(plants.made)
+        with plants.in_place():
+            bus = BowdenBus(channel, **options)
         tap = BowdenBus(channel)
-        sink = Sink()
-        self.scene = Scene(bus.bench, plants.made[-1], bus, tap, sink)
+        self.by_hand = not motion.network.bench.joints[0].driven_by
+        sink = Sink(self.walk, motion.at)
+        self.scene = Scene(bus.bench, plants.made[before], bus, tap, sink)
         sink.moment = self._moment
-        sink.stopping = self._floor
         if self.me is not None:
             self.me[0].act(self.scene)
+        reason, crashed = None, ""
         try:
-            result = trials.run(Link(bus, bus.time_ns), tap, sink, run)
-            told = self._told(sink, result.stop_reason, "")
+            reason = motion.run(Link(bus, bus.time_ns), tap, sink)
         except BaseException as error:
-            told = self._told(sink, None, f"{type(error).__name__}: {error}")
+            crashed = f"{type(error).__name__}: {error}"
             if self.me is None:
                 raise
-        if self.floor is not None:
-            self.floor()
+        ended_ns = self.scene.now_ns
+        while self.me is not None and self.scene.now_ns < ended_ns + round(STAND_S * 1e9):
+            bus.recv(STAND_S)
+        told = self._told(sink, reason, crashed, ended_ns, plants.made[before:])
         if self.me is not None:
             self._wait(0)
-            floor = self.me[3].with_suffix(".floor")
-            if floor.exists():
-                told.floor_n = float(floor.read_text())
             with self.me[3].open("wb") as file:
                 pickle.dump(told, file)
             sys.stdout.flush()
@@ -263,29 +268,6 @@ class _Stage:
         tap.shutdown()
         bus.shutdown()
         return told
-
-    def _floor(self) -> None:
-        """Go on in one more process with a servo stage that is dead from now on."""
-        if self.me is None or self.scene is None:
-            return
-        sys.stdout.flush()
-        child = os.fork()
-        if child:
-            self.children.append(child)
-            return
-        scene, path = self.scene, self.me[3].with_suffix(".floor")
-        since = len(scene.plant.true)
-        kernel, stage = scene.bench.kernel, scene.plant.stage
-
-        def die() -> None:
-            scene.plant.stage = _without_servo(stage)
-
-        def end() -> None:
-            path.write_text(str(max((max(row[1:]) for row in scene.plant.true[since:]), default=0.0)))
-            os._exit(0)
-
-        self.floor = end
-        kernel.at(kernel.now_ns + COMMAND_NS, TIMER, die)
 
     def _moment(self, moment: str) -> None:
         if self.me is not None:
@@ -317,18 +299,20 @@ class _Stage:
             child, _status = os.wait()
             self.children.remove(child)
 
-    def _told(self, sink: Sink, reason: str | None, crashed: str) -> Told:
-        scene = self.scene
-        assert scene is not None
+    def _told(self, sink: Sink, reason: str | None, crashed: str, ended_ns: int,
+              made: Sequence[plants.Breakable]) -> Told:
         row, moment, fault_ns = (self.me[0].name, self.me[1], self.me[2]) if self.me else ("twin", "", 0)
         times = [time_ns for time_ns, _values in sink.rows]
         gaps = np.diff(times) if len(times) > 1 else np.ones(1)
         whole = not crashed and bool(np.all(gaps > 0)) and (reason is None or any(
             kind == "safety" for _t, kind, _s, _x in sink.events) or not times)
-        servo = [values[INDEX["servo_statusword"]] for _t, values in sink.rows]
-        off = next((times[i] for i in range(len(times) - 1, -1, -1) if int(servo[i]) & 0x6F == 0x27), 0)
-        return Told(row, moment, fault_ns, reason, sink.events, np.array(scene.plant.true), np.array(scene.plant.leg),
-                    len(times), whole, scene.now_ns, off, crashed)
+        paths = [np.array(plant.true) for plant in made]
+        for plant, path in zip(made, paths, strict=True):
+            if plant.led:  # an antagonist's joint is that of the path before it
+                path[:, 3] = np.interp(path[:, 0], paths[0][:, 0], paths[0][:, 3])
+            if self.by_hand:
+                path[:, 5] = 0.0
+        return Told(row, moment, fault_ns, reason, sink.events, paths, len(times), whole, ended_ns, crashed)
 
     def collected(self) -> list[Told]:
         """Every row's findings, after all have ended."""

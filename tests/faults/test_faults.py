@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 
 from benchmarks import supervision
-from tests.faults import names
+from eds.declaration import SHAPES
+from tests.faults import cover, names
 from tests.faults.argument import ACTIONS, HAZARDS
+from tests.faults.judge import Verdict
 from tests.faults.names import name_of
-from tests.faults.page import kept, write
+from tests.faults.page import read, write
 from tests.faults.rows import ROWS
+from tests.faults.stage import OF_GAIT
 
 ROOT = Path(__file__).parents[2]
 QUICK = "|".join(f"^{name}$" for name in (
@@ -84,14 +87,51 @@ def test_every_row_keeps_its_bounds(tmp_path: Path) -> None:
     assert len(told) >= 250
 
 
-def test_a_run_of_one_part_of_the_page_keeps_the_others(tmp_path: Path) -> None:
+@pytest.mark.parametrize("fault", ["knee encoder sign flipped", "knee's velocity feedback reversed"])
+def test_a_knee_whose_feedback_fails_is_let_go_and_the_leg_keeps_its_bounds(tmp_path: Path, fault: str) -> None:
+    """A drive that braked by the failed feedback swung the leg by 84 degrees beyond its course at 990 degrees/s."""
+    told = matrix(tmp_path, "--gait", "extended", "2.0", "--rows", f"^{fault}", "--moments", *OF_GAIT[::4])
+    assert len(told) == len(OF_GAIT[::4])
+    assert [(row["moment"], row["faults"]) for row in told if row["faults"]] == []
+    assert max(row["torque_ms"] for row in told) < 5.0
+
+
+@pytest.mark.parametrize("fault", ["Ctrl-C", "END cut off", "servo stage reversed"])
+def test_a_leg_in_swing_is_braked_before_it_is_let_go(tmp_path: Path, fault: str) -> None:
+    """It coasted on to 22 degrees of extension."""
+    told = matrix(tmp_path, "--gait", "paper", "1.1", "--rows", f"^{fault}$", "--moments", "85 %", "90 %")
+    assert len(told) == 2
+    assert max(row["off_deg"] for row in told) < 5.0
+
+
+@pytest.mark.faults
+def test_every_stop_of_the_covering_sample_keeps_its_bounds(tmp_path: Path) -> None:
+    """One run in seven; `make faults` runs all of them."""
+    told = matrix(tmp_path, "--cover", "--every", "7")
+    assert [(row["name"], row["moment"], row["walk"], row["faults"]) for row in told if row["faults"]] == []
+    assert len(told) >= 300
+
+
+def test_the_covering_sample_has_every_fault_at_every_moment_in_every_controller_period_and_bench() -> None:
+    sampled = cover.sample(ROWS, motions=False)
+    runs = [(row.name, moment, walk) for walk, rows in sampled.items() for row in rows for moment in row.moments]
+    sudden = {row.name for row in ROWS if not row.gradual and row.moments != ("start",)}
+    assert {(name, moment) for name, moment, _ in runs} == {(name, moment) for name in sudden for moment in OF_GAIT}
+    assert len(runs) == len(sudden) * len(OF_GAIT)
+    assert {walk.controller for _, _, walk in runs} == set(cover.CONTROLLERS)
+    assert {walk.period_s for _, _, walk in runs} == set(cover.PERIODS)
+    assert {walk.shape for _, _, walk in runs} == set(SHAPES)
+
+
+def test_a_run_of_some_rows_replaces_those_rows_alone(tmp_path: Path) -> None:
     path = tmp_path / "faults.md"
-    path.write_text((ROOT / "docs" / "faults.md").read_text(encoding="utf-8"), encoding="utf-8")
-    before = kept(path.read_text(encoding="utf-8"))
-    write(path, (), ["", "## The worst that goes unsaid", "", "another search"])
-    after = kept(path.read_text(encoding="utf-8"))
-    assert set(before) == {"at once", "slow", "unsaid"}
-    assert after == before | {"unsaid": "## The worst that goes unsaid\n\nanother search"}
+    first = Verdict("a", "peak", 0.5, True, "said", 1.0, 2.0, 0.1, 0.0, True, "", (), torque_ms=3.0)
+    second = first._replace(name="b", faults=("leg off", "END"))
+    write(path, [first, second], ["## The search", "", "one"])
+    write(path, [first._replace(detected_ms=0.7)])
+    assert read(path.with_suffix(".csv"))[0].detected_ms == 0.7
+    assert read(path.with_suffix(".csv"))[1].faults == second.faults
+    assert path.read_text(encoding="utf-8").endswith("## The search\n\none\n")
 
 
 def test_false_alarms_are_bounded_by_count_and_by_the_tail() -> None:

@@ -55,6 +55,16 @@ class Infinite(NotANumber):
     wrong = -math.inf
 
 
+class Untraced(PaperController):
+    """It leaves the rope slack, and traces no desired force with which that could be compared."""
+
+    def step(self, seen: ControllerInput, state: Any) -> Any:
+        outputs, after, trace = super().step(seen, state)
+        slack_m = min(0.02, 1e-4 * max(0, seen.sample))
+        return outputs._replace(servo_target_m=outputs.servo_target_m - slack_m), after, trace._replace(
+            desired_force_n=math.nan)
+
+
 class TooManyValues(Counting):
     def step(self, seen: ControllerInput, state: Any) -> Any:
         outputs, after, trace = super().step(seen, state)
@@ -111,6 +121,12 @@ def test_own_columns_are_in_the_trial_with_unit_and_the_others_are_as_without() 
     assert (np.diff(own.columns["steps"][walked & (own.columns["cycle"] == 0)]) == 1.0).all()
     for name, column in plain.columns.items():
         np.testing.assert_array_equal(column, own.columns[name])
+
+
+def test_end_is_compared_with_the_gait_tables_force_whatever_a_controller_traces() -> None:
+    ran = run(Untraced)
+    assert ran.outcome == "stopped"
+    assert "desired are" in ran.stop_reason
 
 
 @pytest.mark.parametrize(("kind", "says"), [

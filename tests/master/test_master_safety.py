@@ -13,11 +13,18 @@ def test_every_condition_has_a_row() -> None:
     assert {condition for condition, _ in REACTIONS} == set(Condition)
 
 
+@pytest.mark.parametrize("condition", list(Condition))
+def test_a_knee_that_is_named_is_neither_held_nor_braked(condition: Condition) -> None:
+    """Neither drive nor angle of a named knee can be trusted, whatever is wrong with it."""
+    assert REACTIONS[condition, KNEE] is Reaction.RELEASE_BOTH
+
+
 @pytest.mark.parametrize(
     "condition", [Condition.NODE_LOST, Condition.LEFT, Condition.EMERGENCY, Condition.STALE, Condition.BOOTED])
 def test_the_rope_is_unwound_only_while_start_servo_and_knee_are_there(condition: Condition) -> None:
     by_place = {place: REACTIONS[condition, place] for place in (SERVO, KNEE, START, END)}
-    assert by_place == {SERVO: Reaction.RELEASE, KNEE: Reaction.RELEASE, START: Reaction.RELEASE, END: Reaction.UNWIND}
+    assert by_place == {SERVO: Reaction.RELEASE, KNEE: Reaction.RELEASE_BOTH, START: Reaction.RELEASE,
+                        END: Reaction.UNWIND}
 
 
 def test_a_node_that_is_not_of_the_bench_unwinds() -> None:

@@ -297,6 +297,30 @@ def test_a_babbler_is_said_to_be_one() -> None:
     assert watch.summary() == [f"7F0h came {FLOOD} times"]
 
 
+def test_no_number_of_foreign_frames_hides_a_command() -> None:
+    """300 extended identifiers at 4 ms and 700 of 11 bits, then targets and SDO writes: the commands are all logged."""
+    watch = BusWatch(wire(Network()))
+    own = {watch_id for base in (0x080, 0x180, 0x580, 0x700) for watch_id in range(base, base + 5)}
+    unknown = [(0x10000 + n, True) for n in range(300)] + [(n, False) for n in range(0x080, 0x580) if n not in own]
+    for n, (can_id, extended) in enumerate(unknown):
+        watch.hear(can.Message(4e-3 * n, can_id, extended, data=bytes(8)), False)
+    assert len(watch.found) < 10
+    assert len(watch.counts) < 2050
+    watch.found.clear()
+    for n, index in enumerate(range(0x2000, 0x2190), start=len(unknown)):
+        write = b"\x2b" + index.to_bytes(2, "little") + bytes(5)
+        watch.hear(can.Message(4e-3 * n, 0x601, False, data=write), False)
+    assert len(watch.found) == 400
+    assert all(stranger.moves for stranger in watch.found)
+    assert any("2012:00" in stranger.text for stranger in watch.found)
+
+
+def test_foreign_targets_behind_unknown_identifiers_are_said() -> None:
+    unknown = [(0x480 + n, b"") for n in range(256)]
+    watch = heard(*unknown, (0x201, b"\1" + bytes(7)))
+    assert "targets (201h) from another master" in watch.found[-1].text
+
+
 # ---- what is told ----
 
 

@@ -7,6 +7,7 @@ docs/trials.md lists repairs and refusals.
 from __future__ import annotations
 
 import os
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -143,7 +144,7 @@ def first_lines(source: Path, count: int = 20) -> list[str]:
     try:
         with (gzip.open if source.suffix.lower() == ".gz" else open)(source, "rb") as file:
             return file.read(1 << 14).decode("utf-8", "replace").splitlines()[:count]
-    except (OSError, EOFError):
+    except (OSError, EOFError, zlib.error):
         return []
 
 
@@ -206,7 +207,7 @@ def _candump_frames(source: Path, progress: Progress) -> LoggedFrames:
         raise InputError(f"{source}: no such file; give the path of a CAN log.") from None
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(str(source)) else f"{source}: {error}") from None
-    except (OSError, EOFError, ValueError) as error:
+    except (OSError, EOFError, ValueError, zlib.error) as error:
         raise InputError(f"{source}: cannot be read ({error}); give a candump -L log.") from None
     if frames.counts["malformed_lines"] > len(frames.rows):
         raise InputError(f"{source}: {frames.counts['malformed_lines']} lines are not as candump -L writes them; "

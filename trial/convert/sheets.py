@@ -200,6 +200,7 @@ def mdf(path: Path) -> LabTable:
     except ImportError:
         raise missing(path, "MDF needs asammdf", "mf4") from None
     with MDF(path) as file:
+        unpacked_size.check_mdf(path, file)
         begins = file.header.start_time
         signals = [signal for signal in file.iter_channels(skip_master=True) if signal.samples.ndim == 1
                    and signal.samples.dtype.kind in "fiub" and len(signal.samples)]
@@ -228,9 +229,13 @@ def has_can_frames(path: Path) -> bool:
         from asammdf import MDF
     except ImportError:
         raise missing(path, "MDF needs asammdf", "mf4") from None
+    unpacked_size.check_mdf_blocks(path)
     try:
         with MDF(path) as file:
+            unpacked_size.check_mdf(path, file)
             return any(map(len, getattr(file, "bus_logging_map", {}).get("CAN", {}).values()))
+    except InputError:
+        raise
     except Exception:  # whoever reads it says what is wrong
         return False
 

@@ -22,8 +22,14 @@ CELL: Final = 8
 DEPTH: Final = 32
 """Structures within structures that a MATLAB file may have; scipy reads each level on the C stack."""
 
+_ZIPPED: Final = struct.Struct("<4s4xQQ2sBxIQQ")
+"""Head of a zipped block of MDF 4 (ASAM MDF 4.1, DZ block): name, length, links, type, method, columns, unpacked bytes,
+packed bytes."""
 _MATRIX, _COMPRESSED, _INT32 = 14, 15, 5  # data types of MAT-file level 5, MathWorks' "MAT-File Format", table 1-1
 _HEADER = 128
+_DATA_TYPES: Final = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18))
+"""Data types of elements within an array (the same table): at another one scipy reads beyond its table of types, which
+ends the process."""
 
 
 def refuse_above(path: Path, size: int) -> None:
@@ -82,6 +88,8 @@ def _declared(path: Path, raw: bytes, order: str) -> int:
             first, after = at + 8, at + 8 + length + -length % 8
             if kind >> 16:  # a small element: its length and up to four bytes in the tag
                 kind, length, first, after = kind & 0xFFFF, kind >> 16, at + 4, at + 8
+            if kind not in _DATA_TYPES:
+                raise InputError(f"{path}: cannot be read (data type {kind} in an array); give a whole .mat file.")
             if kind == _MATRIX:
                 waiting.append((first, min(first + length, end), depth + 1))
             elif kind == _INT32 and place == 1 and depth:
@@ -114,6 +122,34 @@ def check_hdf(path: Path, file: Any) -> None:
                     raise outside(path, name)
                 size += max(CELL, item.dtype.itemsize) * math.prod(item.shape or ())
                 refuse_above(path, size)
+
+
+def check_mdf_blocks(path: Path) -> None:
+    """Raise `InputError` if the zipped blocks of an MDF file unpack to too many bytes, or to more than they declare."""
+    raw, limit, size = path.read_bytes(), unpacked_limit(path), 0
+    at = raw.find(b"##DZ")
+    while at >= 0 and at + _ZIPPED.size <= len(raw):
+        _, _, _, _, _, _, declared, packed = _ZIPPED.unpack_from(raw, at)
+        if at % 8 == 0:  # every block begins at a multiple of 8; other places are data
+            refuse_above(path, size + declared)
+            body = raw[at + _ZIPPED.size:at + _ZIPPED.size + packed]
+            try:
+                size += len(zlib.decompressobj().decompress(body, limit - size + 1))
+            except zlib.error:
+                size += 0  # whoever reads it says what is wrong
+            refuse_above(path, size)
+        at = raw.find(b"##DZ", at + 1)
+
+
+def check_mdf(path: Path, file: Any) -> None:
+    """Raise `InputError` if the signals of an MDF file are too large on the clock of its longest group.
+
+    `file` is asammdf's.
+    """
+    groups = [(group.channel_group.cycles_nr, group.channel_group.samples_byte_nr, len(group.channels))
+              for group in file.groups]
+    longest = max((rows for rows, _, _ in groups), default=0)
+    refuse_above(path, sum(rows * (width + CELL * count) + CELL * count * longest for rows, width, count in groups))
 
 
 def outside(path: Path, name: str) -> InputError:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from parameters import InputError
+from parameters.files import most_unpacked
 from trial.mcap_file import container as mcap
 from trial.mcap_file.records import (
     Channel,
@@ -26,8 +27,6 @@ from trial.mcap_file.records import (
     unpack,
 )
 
-UNPACKED_FLOOR = 256 << 20  # a topic may always unpack to this much …
-UNPACKED_RATIO = 200  # … and to this many times the file's size; a bench standing still packs about 40:1
 DATA_END_BYTES = 9 + 4
 FOOTER_BYTES = 9 + 20 + len(mcap.MAGIC)
 _HEAD = struct.Struct("<BQ")
@@ -139,10 +138,10 @@ def chunks_of(found: Summary, channel: int, path: str | Path, file_bytes: int) -
     """Return the chunks that may hold `channel`; raises where they would unpack to more than is believable."""
     chunks = [chunk for chunk in found.chunks if not chunk.channels or channel in chunk.channels]
     unpacked = sum(chunk.unpacked for chunk in chunks)
-    if unpacked > max(UNPACKED_FLOOR, UNPACKED_RATIO * file_bytes):
+    if unpacked > most_unpacked(file_bytes):
         raise InputError(
-            f"{path}: {file_bytes} bytes would unpack to {unpacked}, expected at most {UNPACKED_RATIO} times "
-            "the file; it is no recording, do not open it.")
+            f"{path}: {file_bytes} bytes would unpack to {unpacked}, expected at most "
+            f"{most_unpacked(file_bytes)}; it is no recording, do not open it.")
     return chunks
 
 

@@ -6,13 +6,13 @@ At each instant the plant first advances under the torques demanded so far, then
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, cast
+from typing import Final, NamedTuple, Protocol, cast
 
 from eds.declaration import MIRROR_RAD
 from physics.drive_loops import DRIVE_TICK_NS
 from physics.plant.bench_plant import BowdenPlant, JointState, Outputs, Plant
 from virtual_bus.kernel import TICK, Kernel
-from virtual_bus.machine.hand import Hand
+from virtual_bus.machine.hand import CheckingHand, Hand
 from virtual_bus.machine.truth import Truth
 from virtual_bus.wire.faults import Fault
 from virtual_bus.wire.node_station import NodeStation
@@ -76,6 +76,16 @@ class Observer(NamedTuple):
     application: Feeling
 
 
+class KneeEncoder(NamedTuple):
+    """Scale of the knee drive's encoder, and its reading, rad, at the true angle 0."""
+
+    scale: float = 1.0
+    zero_rad: float = 0.0
+
+
+TRUE_ENCODER: Final = KneeEncoder()
+
+
 class MachineState(NamedTuple):
     """Progress of a machine between two instants: next drive tick, next samples of the sensors, torques held, N·m."""
 
@@ -89,6 +99,7 @@ BRIDGES = {"broken_wire": (0, 1), "overload": ((1 << 23) - 1, 0)}
 
 START_FEELS = Outputs._fields.index("start_n")
 END_FEELS = Outputs._fields.index("end_n")
+assert END_FEELS == START_FEELS + 1
 
 
 class Machine:
@@ -98,13 +109,15 @@ class Machine:
     """
 
     def __init__(self, kernel: Kernel, plant: Plant, servo: MountedDrive, knee: MountedDrive | Hand | Machine,
-                 gauges: Sequence[Gauge], observers: Sequence[Observer] = ()) -> None:
+                 gauges: Sequence[Gauge], observers: Sequence[Observer] = (),
+                 encoder: KneeEncoder = TRUE_ENCODER, hand: CheckingHand | None = None) -> None:
         self.plant = plant
         self._kernel = kernel
         self._servo = servo
         self._knee = knee
         self._leader = knee if isinstance(knee, Machine) else None
         self._gauges, self._observers = tuple(gauges), tuple(observers)
+        self._encoder, self._hand = encoder, hand
         self._servo_nm = 0.0
         self._knee_nm = 0.0
         self._tick_ns = 0
@@ -134,8 +147,9 @@ class Machine:
 
     @property
     def steady(self) -> bool:
-        """Whether the machine runs and every bridge is intact."""
-        return bool(self._sample_ns) and not self._bridges
+        """Whether the machine runs by itself, and every bridge and encoder is intact."""
+        return (bool(self._sample_ns) and not self._bridges and self._hand is None
+                and self._encoder == TRUE_ENCODER)
 
     @property
     def state(self) -> MachineState:
@@ -204,11 +218,16 @@ class Machine:
         self._servo_nm = drive.tick(now_ns, servo_m, servo_m_s) if station.on else 0.0
         station.settle(now_ns)
         if isinstance(self._knee, Hand):
-            self._knee_nm = self._knee.push(knee_rad, knee_rad_s)
+            led = self._hand is not None and self._hand.leads
+            self._knee_nm = 0.0 if led else self._knee.push(knee_rad, knee_rad_s)
         elif isinstance(self._knee, MountedDrive):
             station, drive = self._knee
-            self._knee_nm = drive.tick(now_ns, knee_rad, knee_rad_s) if station.on else 0.0
+            scale, zero_rad = self._encoder
+            read_rad = scale * knee_rad + zero_rad
+            self._knee_nm = drive.tick(now_ns, read_rad, scale * knee_rad_s) if station.on else 0.0
             station.settle(now_ns)
+        if self._hand is not None:
+            self._knee_nm += self._hand.push(knee_rad, knee_rad_s)
         for observer in self._observers:
             if observer.station.on:
                 observer.application.feel(now_ns, felt)
@@ -218,7 +237,8 @@ class Machine:
         station, sensor, converter, feels = gauge
         if not station.on:
             return DRIVE_TICK_NS
-        counts = converter.sample(now_ns, felt[feels])
+        weight_n = 0.0 if self._hand is None else self._hand.weights[feels - START_FEELS]
+        counts = converter.sample(now_ns, felt[feels] + weight_n)
         if station.node in self._bridges:
             sensor.sample(now_ns, *self._bridges[station.node])
         else:

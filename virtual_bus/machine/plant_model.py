@@ -17,6 +17,7 @@ from physics import bench_model
 from physics.effects import catalogue as effects
 from physics.effects import effects_table
 from physics.older_files import current_names
+from physics.terms import Term
 from virtual_bus.machine.scatter import Tables
 from virtual_bus.wire.faults import Fault
 
@@ -27,12 +28,13 @@ PATHS: Final = "path"
 
 
 class PlantModel(NamedTuple):
-    """One plant model: `where` it comes from, its tables of nominal values, tables of effects, faults of the wire."""
+    """One plant model: `where` it comes from, its tables of nominal values, effects, faults of the wire, and terms."""
 
     where: str
     tables: Mapping[str, Any]
     effects: Tables
     faults: tuple[Fault, ...]
+    terms: tuple[Term, ...] = ()
 
     def at_work(self, tables: Tables) -> Tables:
         """Return `tables` with the effects included."""
@@ -56,7 +58,7 @@ def read(given: str | Path | Mapping[str, Any] | None, nodes: PathNodes, path: s
         stated[table] = {**values, **stated.get(table, {})}
     own = {name: current_names(table, f"{where} [{name}]") if isinstance(table, Mapping) else table
            for name, table in tables.items() if name not in (*NAMES, *bench_model.TABLES)}
-    return PlantModel(where, own, stated, faults(wire, nodes))
+    return PlantModel(where, own, stated, faults(wire, nodes), known.terms)
 
 
 def _of_path(tables: Mapping[str, Any], path: str, where: str) -> dict[str, Any]:

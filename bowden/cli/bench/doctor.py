@@ -30,19 +30,23 @@ def doctor(
 
     Example: bowden doctor --interface socketcan --channel can0
     """
-    from bowden.bench import examination
+    from bowden.bench import examination, safety_table
+    from master.limit_holders import COLUMNS
 
-    network = reached.sections(config)["network"]
+    sections = reached.sections(config)
+    held = safety_table.table(sections)
     with terminal.waiting("looking", shown=not json):
-        found = list(examination.examine(network, reached.chosen(), seconds))
+        found = list(examination.examine(sections["network"], reached.chosen(), seconds))
     bad = [finding for finding in found if not finding.good]
     if json:
-        terminal.emit({"findings": [_object(finding) for finding in found], "faults": len(bad)})
+        terminal.emit({"findings": [_object(finding) for finding in found], "faults": len(bad),
+                       "safety_functions": safety_table.as_objects(held)})
     else:
         for finding in found:
             print(f"{'ok ' if finding.good else 'BAD'} {finding.what}: {finding.seen}")
             if not finding.good:
                 print(f"      {finding.remedy}")
+        terminal.table("safety functions", COLUMNS, [row.cells for row in held])
         print(f"{len(bad)} faults.")
     return 1 if bad else 0
 

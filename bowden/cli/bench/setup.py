@@ -59,13 +59,14 @@ def _asked(record: type[Any]) -> dict[str, str]:
 
 @check.command("config")
 def check_config(file: ConfigFile, json: options.Json = False) -> int:
-    """Check a bench.toml and whether its network can keep its deadlines.
+    """Check a bench.toml: deadlines of its network, limits, and who holds each safety function.
 
     Example: bowden init -o bench.toml && bowden check config bench.toml
     """
-    from bowden.bench import configuration
+    from bowden.bench import configuration, safety_table
     from eds.bench.bench_network import lacks, wire
     from eds.bench.bus_load import LOAD_GOAL_PERCENT, rate_that_fits, refuse
+    from master.limit_holders import COLUMNS, unheld
     from master.own_limits import by_path
 
     sections = configuration.read(file, any_shape=True)
@@ -75,7 +76,8 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
         terminal.emit({"lacks": missing}) if json else print("\n".join(missing))
         return 1
     above, of_paths = limits.above_packaged(), by_path(limits, network.bench)
-    built = wire(network)
+    built, held = wire(network), safety_table.table(sections)
+    nobody = unheld(held)
     found = refuse(built)
     fits = rate_that_fits(built)
     if json:
@@ -83,6 +85,7 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
             "limits_above_packaged": above, "limits_raised": limits.raised,
             "limits": {path: {name: getattr(found, name) for name, _ in _numbers(found)}
                        for path, found in of_paths.items()},
+            "safety_functions": safety_table.as_objects(held), "held_by_nobody": nobody,
             "load_percent": found.load_percent, "goal_percent": LOAD_GOAL_PERCENT, "rate_that_fits_hz": fits,
             "inputs_ns": found.inputs_ns,
             "deadline_ns": found.deadline_ns, "streams": [
@@ -102,10 +105,14 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
         terminal.table(f"{file}: limits of each force path", ("limit", *of_paths), [
             (f"{name} ({unit})" if unit else name, *(f"{getattr(found, name):g}" for found in of_paths.values()))
             for name, unit in _numbers(limits)])
+        terminal.table(f"{file}: safety functions", COLUMNS, [row.cells for row in held])
+        for text in nobody:
+            print(f"{file}: nobody holds {text}; " + (
+                f"reason: {limits.raised}." if limits.raised else "commands ask for --raise-limits REASON."))
         if fits != network.rate_hz:
             print(f"{file}: rate_hz = {network.rate_hz} is beyond the goal; " + (
                 f"{fits} Hz would fit." if fits else "no rate would fit."))
-    return 0 if found.load_percent <= LOAD_GOAL_PERCENT and (limits.raised or not above) else 1
+    return 0 if found.load_percent <= LOAD_GOAL_PERCENT and (limits.raised or not (above or nobody)) else 1
 
 
 def _numbers(section: Any) -> list[tuple[str, str]]:

@@ -57,13 +57,14 @@ def trial(
     from bowden import output_files
     from bowden.bench import configuration
     from bowden.cli import ending
-    from bowden.trials import provenance, session
+    from bowden.trials import provenance, session, setup_checks
 
     output_files.refuse_ending(output, ".mcap", what="a trial")
     output_files.refuse_picture(picture)
     inputs = [knee, desired, calibration, controller_model, config, simulated.plant_model]
     output_files.refuse([output, picture], overwrite=overwrite, inputs=inputs)
     sections = reached.sections(config, rate)
+    setup_checks.refuse_unchecked(sections, calibration)
     sections["homing"] = configuration.homing(sections["homing"], homing_n)
     entered = session.entered(sections, logbook, config)
     bench = watched.bench(entered, sections["network"])
@@ -72,7 +73,9 @@ def trial(
         peak_given=walk.peak is not None)
     chosen = reached.chosen(simulated)
     prepared = session.prepare(sections, reference, calibration, chosen, dry_run=dry_run, script=experiment,
-                               controller_model=controller_model, files=provenance.curves(knee=knee, desired=desired))
+                               controller_model=controller_model,
+                               files={**provenance.curves(knee=knee, desired=desired),
+                                      **setup_checks.attached(calibration)})
     for note in notes:
         terminal.remark(note)
     with _watch(bench, output, chosen, json) as watch, _page(web, output.name, sections["network"]) as page:

@@ -1,0 +1,89 @@
+"""`bowden discover`: a law where no effect of the catalogue fits."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.command import NothingGivenError
+from parameters.files import write_whole
+
+if TYPE_CHECKING:
+    from bowden.models.discovering import Discovered
+
+Trials = Annotated[list[Path] | None, typer.Argument(
+    metavar="TRIAL…", help="Trials of one session, MCAP or CSV.", show_default=False)]
+Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase low-pass on every signal.")]
+Extended = Annotated[Path | None, typer.Option(
+    "-o", "--output", metavar="FILE", help="extended.toml with the terms, for --plant-model and --controller-model.")]
+Picture = Annotated[Path | None, typer.Option(
+    metavar="FILE", help="Residual against the variable of each term, PNG, SVG or PDF.")]
+
+
+@app.command()
+def discover(
+    trials: Trials = None,
+    healthy: options.Healthy = None,
+    path: options.ForcePath = None,
+    lowpass: Lowpass = None,
+    output: Extended = None,
+    picture: Picture = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Find a law where the catalogue has no name.
+
+    At most three terms: constants of the bench that change with load, motion, angle or time.
+
+    Example: bowden discover trial.mcap --healthy good.mcap -o extended.toml --picture law.png
+    """
+    from bowden import output_files
+    from bowden.models import discovering
+
+    if not trials or not healthy:
+        raise NothingGivenError("TRIAL… --healthy TRIAL",
+                                "bowden discover: give a trial, and with --healthy one in the reference condition.")
+    output_files.refuse([output, picture], overwrite=overwrite, inputs=[*trials, *healthy])
+    output_files.refuse_ending(output, ".toml", what="a law")
+    output_files.refuse_ending(picture, ".png", ".svg", ".pdf", what="a picture")
+    with terminal.waiting("fitting the reference trials, then the terms", shown=not json):
+        found = discovering.discover(trials, healthy, lowpass_hz=lowpass, path=path)
+    written = _write(found, output, picture)
+    terminal.emit(found.as_json()) if json else _tell(found, written)
+    return 0
+
+
+def _write(found: Discovered, output: Path | None, picture: Path | None) -> list[Path]:
+    """Write the requested files; without a law nothing is written."""
+    if not found.terms:
+        return []
+    if output is not None:
+        write_whole(output, found.model.text(), overwrite=True)
+    if picture is not None:
+        from bowden.pages import law_picture
+
+        law_picture.draw(found.laws, picture)
+    return [path for path in (output, picture) if path is not None]
+
+
+def _tell(found: Discovered, written: list[Path]) -> None:
+    laws = found.laws
+    if not laws.terms:
+        print("No law: " + (laws.rejected or "no term has the evidence") + ".")
+    for term, nats in zip(laws.terms, laws.nats, strict=True):
+        print(textwrap.fill(f"{term.equation} ({term.part}; {nats:.0f} nats).", 80))
+    terminal.table("RMS error on cycles that no fit has seen", (
+        "signal", "unit", "reference", "session", "law", "gain (%)", "95 %"), [
+        (name, e.unit, f"{e.reference:.3g}", f"{e.session:.3g}", f"{e.named:.3g}", f"{e.gain_percent:.0f}",
+         f"{e.gain_interval[0]:.0f} … {e.gain_interval[1]:.0f}") for name, e in laws.errors.items()])
+    if laws.nearly:
+        print("Nearly as likely: " + ", ".join(f"{name} ({nats:.0f} nats)" for name, nats in laws.nearly[:3]) + ".")
+    if laws.experiment:
+        print(f"To confirm: {laws.experiment}.")
+    for path in written:
+        print(f"Wrote {path}.")

@@ -1,0 +1,63 @@
+"""Set-up checks of a bench: which sensors need one, and whether a calibration's file clears the bench for a limb."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from parameters import InputError
+from parameters.files import write_whole
+
+if TYPE_CHECKING:
+    from eds.declaration import DeclaredBench
+    from physics.setup_check import SetupCheck
+
+CELLS, JOINT = ("start", "end"), "knee"
+"""Sensors of a force path, by the names of the packaged declaration."""
+
+
+def refuse_unchecked(
+    sections: Mapping[str, Any], calibration: Path | None, now: datetime.datetime | None = None
+) -> None:
+    """Raise `InputError` for a bench with a limb declared whose calibration has no recent check of each sensor."""
+    from bowden.trials.force_paths import file_of
+    from physics import setup_check
+
+    limb, bench = sections["record"].limb, sections["network"].bench
+    if not limb:
+        return
+    remedy = "run bowden check bench on its calibration"
+    if calibration is None:
+        raise InputError(f"[record] limb = {limb!r}: a trial with a limb needs a checked bench, and no --calibration "
+                         f"is given; identify the bench, then {remedy}.")
+    several = len(bench.force_paths) > 1
+    for path in bench.force_paths:
+        file = file_of(calibration, path.name) if several else calibration
+        why = setup_check.refusal(setup_check.read(file), _cells(bench, path.name), (JOINT,),
+                                  now or datetime.datetime.now())
+        if why is not None:
+            raise InputError(f"{file}: a trial with a limb ({limb}) needs a checked bench: {why}; {remedy}.")
+
+
+def _cells(bench: DeclaredBench, path: str) -> list[str]:
+    declared = next(one for one in bench.force_paths if one.name == path)
+    return [name for name in CELLS if getattr(declared, name)]
+
+
+def attached(calibration: Path | None) -> dict[str, bytes]:
+    """Return the set-up checks in a calibration's file, for attachment to a trial; none without any."""
+    from physics import setup_check
+
+    found = setup_check.read(calibration) if calibration is not None and calibration.exists() else ()
+    return {"setup_check.toml": setup_check.rows(found).encode()} if found else {}
+
+
+def enter(calibration: Path, new: Sequence[SetupCheck]) -> None:
+    """Write checks into a calibration's file, in place of earlier ones of the same sensors."""
+    from physics import setup_check
+
+    kept = setup_check.merged(setup_check.read(calibration), new)
+    text = setup_check.without_rows(calibration.read_text(encoding="utf-8"))
+    write_whole(calibration, text + setup_check.rows(kept), overwrite=True)

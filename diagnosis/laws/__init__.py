@@ -1,0 +1,13 @@
+"""Terms that extend the forward model where no effect of the catalogue explains a trial.
+
+The model, with y the measured data of a trial:
+
+    y = f(q + δ; m) + Φ(m)·(c + d) + Σ aⱼ·∂f/∂qⱼ·mⱼ(t) + ε.
+
+A term is a sensitivity of the fitted model ∂f/∂q times a modulation m(t) (`physics.terms`), so that it keeps a unit and
+a part of the bench.  Modules, lowest first.
+
+    library      candidate terms of a trial: carriers × modulations
+    law_search   selection by evidence, refinement of the nonlinear parameters, held-out errors
+    law_findings result: terms, three errors, runners-up
+"""

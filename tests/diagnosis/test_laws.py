@@ -1,0 +1,159 @@
+"""Laws: changes that no effect of the catalogue describes are found as terms, with size, place in time and gain.
+
+The trials are of `tests.plants`, whose structure the forward model does not share; what is added to END is exact.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diagnosis.finder import Finder
+from estimation.data.table import Table
+from parameters import InputError
+from physics.plant import PlantParameters, imposed
+from physics.plant.bench_plant import BowdenPlant
+from physics.terms import MODULATIONS, Course, Term, rows, stated
+from tests.hidden import family
+from tests.hidden.family import Job
+from virtual_bus.machine import plant_model
+
+Change = Callable[[Table], np.ndarray]
+
+
+def term(carrier: str, modulation: str, parameters: dict[str, float], *coefficients: float, unit: str = "") -> Term:
+    return Term(carrier, modulation, parameters, coefficients, tuple((a - 0.1, a + 0.1) for a in coefficients), unit,
+                "sensor", "gain of END")
+
+
+TERMS = [
+    term("end_gain", "step", {"at_s": 4.0}, 0.06),
+    term("end_offset", "time_sine", {"hz": 13.0}, 1.0, 0.5, unit="N"),
+    term("cable", "position_sine", {"radius_m": 0.02}, 0.3, -0.1),
+    term("zero", "knee_bump", {"at_rad": -0.6, "width_rad": 0.05}, 1e-3, unit="m"),
+]
+
+
+def test_terms_in_a_file_are_read_back() -> None:
+    import tomllib
+
+    assert stated(tomllib.loads("\n".join(rows(TERMS))), "x.toml") == tuple(TERMS)
+
+
+@pytest.mark.parametrize(("change", "sentence"), [
+    ({"modulation": "wobble"}, "modulation = 'wobble'; expected one of constant"),
+    ({"parameters": {}}, "parameters none; expected at_s of step"),
+    ({"coefficients": []}, "expected finite numbers and 1 coefficients"),
+    ({"parameters": {"at_s": float("nan")}}, "expected finite numbers"),
+])
+def test_a_wrong_term_is_refused_with_its_place(change: dict[str, object], sentence: str) -> None:
+    import tomllib
+
+    row = tomllib.loads("\n".join(rows(TERMS[:1])))["terms"][0]
+    with pytest.raises(InputError, match=r"x\.toml \[\[terms\]\] 1") as caught:
+        stated({"terms": [{**row, **change}]}, "x.toml")
+    assert sentence in str(caught.value)
+
+
+def test_equations_have_units_and_an_interval() -> None:
+    assert term("end_gain", "step", {"at_s": 6.44}, -0.0585).equation == (
+        "gain of END × (1 − 0.0585 from t = 6.44 s on), size −0.159 … 0.0415")
+    assert "sin(2π·13 Hz·t + 0.46)" in TERMS[1].equation
+
+
+def test_every_modulation_is_finite_on_a_course() -> None:
+    time = np.linspace(0.0, 4.0, 400)
+    course = Course(time, 0.03 * np.sin(time), 0.03 * np.cos(time), 20.0 + 10.0 * np.sin(time), -0.5 + 0.1 * time,
+                    time % 1.0)
+    for shape in MODULATIONS.values():
+        parts = shape.function(course, dict.fromkeys(shape.parameters, 0.5))
+        assert len(parts) == shape.components
+        assert all(part.shape == time.shape and np.isfinite(part).all() for part in parts)
+
+
+def test_the_plant_follows_terms_of_its_parameters_and_sensors() -> None:
+    time = np.arange(0.0, 2.0, 1e-3)
+    moved = imposed.motion(time, 0.012 * (1.0 - np.cos(np.pi * time)), np.full(time.size, -0.5))
+    plain = imposed.simulate(PlantParameters(), moved)
+    gained = imposed.simulate(PlantParameters(), moved, [term("end_gain", "constant", {}, 0.1)])
+    assert np.allclose(gained.end_n, 1.1 * plain.end_n)
+    assert np.array_equal(gained.start_n, plain.start_n)
+    mu1 = imposed.simulate(dataclasses.replace(PlantParameters(), mu1=1.5 * PlantParameters().mu1), moved)
+    rubbed = imposed.simulate(PlantParameters(), moved, [term("cable", "constant", {}, 0.5)])
+    assert np.abs(rubbed.end_n - mu1.end_n).max() < 1e-9  # the same bench, from the first step on
+    none = imposed.simulate(PlantParameters(), moved, [term("cable", "decay", {"tau_s": 1.0}, 0.5)])
+    assert np.array_equal(none.end_n, plain.end_n)  # a decay is over in a later trial
+
+
+def test_a_term_that_the_plant_cannot_follow_is_refused() -> None:
+    phase = term("end_offset", "phase_bump", {"phase": 0.5, "width": 0.02}, 1.0, unit="N")
+    with pytest.raises(InputError, match=r"m\.toml: the simulated bench cannot follow a term of end_offset by phase_"):
+        BowdenPlant(PlantParameters()).extend([phase], "m.toml")
+
+
+def test_a_plant_model_carries_the_terms_of_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "extended.toml"
+    file.write_text("\n".join(rows(TERMS)), encoding="utf-8")
+    from eds.declaration import PathNodes
+
+    assert plant_model.read(file, PathNodes(1, 2, 3, 4)).terms == tuple(TERMS)
+
+
+def stepped(trial: Table) -> np.ndarray:
+    time = trial["time_s"]
+    return np.asarray(trial["tension_end_n"] * np.where(time >= 0.6 * time[-1], 1.07, 1.0))
+
+
+def vibrating(trial: Table) -> np.ndarray:
+    return np.asarray(trial["tension_end_n"] + 1.2 * np.sin(2.0 * np.pi * 11.3 * trial["time_s"]))
+
+
+def pulsing(trial: Table) -> np.ndarray:
+    return np.asarray(trial["tension_end_n"] + 3.0 * np.exp(-0.5 * ((trial["gait_percent"] - 62.0) / 1.5) ** 2))
+
+
+def saturated(trial: Table) -> np.ndarray:
+    top = trial["tension_end_n"].max()
+    return np.asarray(np.minimum(trial["tension_end_n"], 0.75 * top))
+
+
+@pytest.fixture(scope="module")
+def recorded() -> tuple[Finder, Table]:
+    case = family.case(Job(8801, ()))
+    return Finder().fit(case.healthy), case.trial
+
+
+def changed(trial: Table, change: Change) -> Table:
+    return dataclasses.replace(trial, columns={**trial.columns, "tension_end_n": change(trial)})
+
+
+@pytest.mark.exhaustive
+def test_a_healthy_trial_has_no_law(recorded: tuple[Finder, Table]) -> None:
+    finder, trial = recorded
+    assert not finder.discover([trial])[0].terms
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("change", "carriers", "modulation", "parameter", "value"), [
+    (stepped, {"end_gain"}, "step", "at_s", None), (vibrating, {"end_offset"}, "time_sine", "hz", 11.3),
+    (pulsing, {"end_offset", "end_gain"}, "phase_bump", "phase", 0.62),
+    (saturated, {"end_offset", "end_gain"}, "saturation", "from_n", None),
+])
+def test_a_change_outside_the_catalogue_is_a_law_with_its_place(
+        recorded: tuple[Finder, Table], change: Change, carriers: set[str], modulation: str, parameter: str,
+        value: float | None) -> None:
+    finder, trial = recorded
+    laws, bench = finder.discover([changed(trial, change)])
+    first, errors = laws.terms[0], laws.errors["tension_end_n"]
+    assert (first.carrier in carriers, first.modulation) == (True, modulation), first.equation
+    expected = 0.6 * trial["time_s"][-1] - trial["time_s"][0] if parameter == "at_s" else value
+    if expected is not None:
+        assert abs(first.parameters[parameter] - expected) < 0.03 * max(expected, 1.0), first.equation
+    assert errors.named < errors.session / 2.0
+    assert bench is not None
+    json.dumps(laws.as_json(), allow_nan=False)
