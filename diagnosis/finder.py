@@ -149,6 +149,8 @@ class Finder:
             return Findings("refused", warnings=[wrong, *warnings])
         undecided = _undecided(groups[0], found)
         again = undecided is not None and found.experiment in {t.experiment for t in groups[0]}
+        unstable = core.reference([*groups[0], *groups[1]]).warning()
+        found = replace(found, warnings=[*([unstable] if unstable else []), *found.warnings])
         return replace(found, bench=self._model(core, groups[0]), undecided=undecided,
                        experiment=None if again else found.experiment)
 

@@ -129,7 +129,8 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
         known, fitted={"trials": [Path(t.source).name for t in given], "pulls": pulls, **figures},
         simulation={n: c.value for n, c in constants.items()},
         simulation_evidence={n: ScalarEvidence(c.low, c.high) for n, c in constants.items() if c.determined})
-    return FittedBench(model, constants, unseen, warnings=tuple(f.text for f in findings))
+    unstable = [whole.warning] if whole.warning else []
+    return FittedBench(model, constants, unseen, warnings=(*(f.text for f in findings), *unstable))
 
 
 def calibrated(trials: Sequence[Table]) -> Calibration:

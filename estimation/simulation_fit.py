@@ -48,8 +48,8 @@ class IdentifiedBench:
     """Parameters of the simulation, SI, converted from a fitted force path.
 
     `sigma` and `prior_sigma`: posterior and prior 1σ by parameter.  `scalars`: posterior 1σ of the scalars of a
-    calibration that the trials determine.  `unlike`: sentence on why the trials are not of a
-    rope over a knee ("": they are).
+    calibration that the trials determine.  `warning`: sentence on another minimum of the fit ("": none).  `unlike`:
+    sentence on why the trials are not of a rope over a knee ("": they are).
     """
 
     values: Values
@@ -57,6 +57,7 @@ class IdentifiedBench:
     prior_sigma: Values
     unlike: str = ""
     scalars: Values = dataclasses.field(default_factory=dict)
+    warning: str = ""
 
 
 def identified(trials: Sequence[Table]) -> IdentifiedBench:
@@ -69,7 +70,8 @@ def identified(trials: Sequence[Table]) -> IdentifiedBench:
     except (ZeroDivisionError, np.linalg.LinAlgError):  # no rope has such constants
         return IdentifiedBench({}, {}, {}, f"{trials[0].source}: no constants of the model predict the trials.")
     unlike = fit.unlike(recordings[0], trials[0].source)
-    return IdentifiedBench({}, {}, {}, unlike) if unlike else identified_by(fit)
+    return IdentifiedBench({}, {}, {}, unlike) if unlike else dataclasses.replace(
+        identified_by(fit), warning=fit.warning())
 
 
 def identified_by(fit: ReferenceFit) -> IdentifiedBench:

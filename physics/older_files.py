@@ -1,11 +1,8 @@
 """Files of older versions, translated to today's tables and names; every other module reads today's alone.
 
-| written by | had | is today |
-|---|---|---|
-| version 1 of a calibration | `[scalars.NAME]`, names of the controller's scalars | `[parameters.NAME]` |
-| the first `bowden fit` | `[constants.NAME]`, parameters of the simulation | `[simulation.NAME]` |
-| `bowden fit` of version 2 | parameters of the simulation as `[parameters.NAME]` | `[simulation.NAME]` beside them |
-| any | `moment_arm_m`, `knee_ratio`, `moment_arm` | `rope_per_knee`, `rope_per_knee_quadratic` |
+Version 1 of a calibration has `[scalars.NAME]`, with the controller's names, for `[parameters.NAME]`.  The first
+`bowden fit` wrote `[constants.NAME]`, later ones `[parameters.NAME]`, for `[simulation.NAME]`.  `RENAMED` lists names
+of parameters.
 """
 
 from __future__ import annotations

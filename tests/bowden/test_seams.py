@@ -16,8 +16,8 @@ Run = Callable[..., "Told"]
 pytestmark = pytest.mark.exhaustive
 GAITS = ((40.0, 2.0), (50.0, 1.5), (60.0, 1.2))
 """Peak, N, and period, s, of the gait trials that `bowden fit` reads: loads and cadences of docs/results.md."""
-CHANGED_N = 2.0
-"""Zero of START, N, of the changed bench: ten times the deviation between sessions."""
+CHANGED_GAIN = 1.06
+"""Gain of START of the changed bench: twenty times the deviation between sessions."""
 
 
 def figures(told: Told) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with three gait trials of bench 3 by the packaged calibration, and the two files made of it.
 
     `model.toml` is of `bowden fit` from the trials, `calibration.toml` of `bowden identify`; `changed.mcap` is a
-    trial of the bench with a plant model whose START reads `CHANGED_N` too much.
+    trial of the bench with a plant model whose START has `CHANGED_GAIN`.
     """
     from bowden.cli.app import run
 
@@ -42,7 +42,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
                     "-o", path]) == 0
     assert run(["fit", *trials, "-o", str(folder / "model.toml"), "--json"]) == 0
     assert run(["identify", "all", "--serial", "3", "-o", str(folder / "calibration.toml"), "--json"]) == 0
-    (folder / "plant.toml").write_text(f"[start_sensor]\noffset_n = {CHANGED_N}\n", encoding="utf-8")
+    (folder / "plant.toml").write_text(f"[start_sensor]\ngain = {CHANGED_GAIN}\n", encoding="utf-8")
     assert run(["trial", "--serial", "3", "--plant-model", str(folder / "plant.toml"), "--cycles", "4", "--json",
                 "-o", str(folder / "changed.mcap")]) == 0
     return folder
@@ -73,7 +73,7 @@ def test_a_bench_model_of_either_command_is_the_calibration_of_a_diagnosis(bowde
     for name in ("calibration", "model"):
         told = figures(bowden("diagnose", bench / "changed.mcap", "--calibration", bench / f"{name}.toml", "--json"))
         assert told["verdict"] in ("found", "ambiguous"), (name, told["verdict"])
-        assert "start_offset" in told["class"], (name, told["class"])
+        assert "start_gain" in told["class"], (name, told["class"])
 
 
 def test_an_extended_model_is_simulated_and_compensated(bowden: Run, bench: Path, here: Path) -> None:
