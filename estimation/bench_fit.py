@@ -135,8 +135,9 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
 
 def calibrated(trials: Sequence[Table]) -> Calibration:
     """Return the calibration that `fit` would find, without a fit of the simulation; trials of a bench, as recorded."""
-    bench = identified(trials)
-    return trial_calibration.calibrated(trials, bench.values, bench.scalars)
+    with threadpool_limits(1, user_api="blas"):
+        bench = identified(trials)
+        return trial_calibration.calibrated(trials, bench.values, bench.scalars)
 
 
 def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
