@@ -1,11 +1,14 @@
-"""Cost of a logbook of 100,000 trials, in SQLite and DuckDB; alarms and detection limits of drawn benches.
+"""Alarms, dates and names of a logbook on recorded sessions; cost of a logbook of 100,000 trials.
 
 Commands:
 
     python -m benchmarks.logbook            performance; DuckDB only where it is installed
-    python -m benchmarks.logbook --alarms DIR     false alarms on 500 drawn healthy benches, time to detection of drifts
-    python -m benchmarks.logbook --shuffled DIR   false alarms on recorded sessions of a healthy bench in random orders
-    python -m benchmarks.logbook --limits DIR     detection limit of each effect: ten sessions against two trials
+    python -m benchmarks.logbook --recorded DIR [--serials 0,1] [--healthy 20] [--sessions 8] [--changes NAMES]
+                                            benches recorded into DIR: alarms without a change, changes dated and named
+
+Serials with serial % 3 == 2 are set aside: nothing is tuned on them (`tests.plants.draws`).  A session is six gait
+cycles (`benchmarks.recorded_sessions`); sessions are entered as `bowden logbook add` does, in the order that
+`--order` states.
 """
 
 from __future__ import annotations
@@ -16,51 +19,99 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import binomtest
 
-from diagnosis.evidence.detection_limits import least_size
+from benchmarks.recorded_sessions import BEGINS, CHANGES, KINDS, record
+from bowden.models import logbook_entries
+from bowden.models.change_diagnosis import diagnosed_state
+from estimation.linear_sums import SessionSums
 from logbook import bench_page, database
-from logbook.bench_state import NEWEST, state_of
-from logbook.change_search import ALARM_NATS, candidates, search_changes
-from logbook.database import Estimate, NewTrial, open_logbook
-from logbook.session_model import CONSTANTS, SessionData, fit_sessions, measured_sd, sessions_of
-from physics.path_constants import BENCH_SD, FREE, SESSION_SD, TABLE
+from logbook.bench_state import BenchState, state_of
+from logbook.database import NewTrial, open_logbook
+from physics.effects.hypotheses import HYPOTHESES
 
 TRIALS, PER_SESSION = 100_000, 10
-SESSIONS, BENCHES = 60, 500
-PUBLISHED = SESSION_SD[list(FREE)]
-STIFFER = (("stiffness", 1.0), ("curve2", 0.4), ("curve3", 0.2))
-"""Direction of the effect `stiffness` at the population's middle."""
-DRIFTS: dict[str, Callable[[int], dict[str, float]]] = {
-    "friction +10 % over 50 sessions": lambda k: {"cable": np.log(1.0 + 0.1 * min(max(k - 10, 0), 50) / 50)},
-    "backlash 26 mrad": lambda k: {"play": 0.013 if k >= 20 else 0.0},
-    "stiffness -10 %": lambda k: {name: np.log(0.9) * share for name, share in STIFFER if k >= 20},
-    "START gain +3 %": lambda k: {"start_gain": 0.03 if k >= 20 else 0.0},
-    "creep +0.01 mm/N": lambda k: {"creep": 1e-5 if k >= 20 else 0.0},
-}
-"""Departures by session, in coordinates; all begin after session 10 or at session 20."""
+
+
+class Outcome(NamedTuple):
+    """What a logbook states of one bench: changed, first session of the change, effects and part of the bench."""
+
+    changed: bool
+    since: str | None
+    effects: tuple[str, ...]
+    part: str | None
 
 
 def main() -> None:
     """Print the measurements that the arguments name."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--alarms", type=Path, metavar="LOGBOOK",
-                        help="logbook whose newest estimate gives the accuracy of a session")
-    parser.add_argument("--shuffled", type=Path, metavar="LOGBOOK", help="logbook of a bench without a change")
-    parser.add_argument("--limits", type=Path, metavar="LOGBOOK", help="logbook with at least ten sessions")
-    parser.add_argument("--benches", type=int, default=BENCHES)
+    parser.add_argument("--recorded", type=Path, metavar="DIR", help="folder of the recorded sessions")
+    parser.add_argument("--kinds", default=",".join(KINDS), help="methods of the family and the packaged plant")
+    parser.add_argument("--serials", default="0", help="serials of each kind, with commas")
+    parser.add_argument("--healthy", type=int, default=20, help="sessions of a bench without a change")
+    parser.add_argument("--sessions", type=int, default=8, help="changed sessions of a bench with a change")
+    parser.add_argument("--changes", default=",".join(CHANGES), help="changes, with commas")
+    parser.add_argument("--order", choices=("dates", "reversed"), default="dates", help="order of entry")
     given = parser.parse_args()
-    if given.alarms:
-        alarms(given.alarms, given.benches)
-    elif given.shuffled:
-        shuffled(given.shuffled, given.benches)
-    elif given.limits:
-        print(limits(given.limits))
-    else:
+    if given.recorded is None:
         performance()
+        return
+    benches = [(kind, int(serial)) for kind in given.kinds.split(",") for serial in given.serials.split(",")]
+    alarms(given.recorded, benches, given.healthy, given.order)
+    for change in filter(None, given.changes.split(",")):
+        changes(given.recorded, benches, change, given.sessions, given.order)
+
+
+def alarms(folder: Path, benches: Sequence[tuple[str, int]], sessions: int, order: str) -> None:
+    """Print how many benches without a change alarm after any of their sessions."""
+    raised = 0
+    for kind, serial in benches:
+        found = _followed(folder, kind, serial, sessions, None, order, every=True)
+        alarmed = [one for one in found if one.changed]
+        raised += bool(alarmed)
+        print(f"healthy {kind} {serial}: " + (f"alarm of {', '.join(alarmed[0].effects)}, since session "
+                                              f"{alarmed[0].since}" if alarmed else "no alarm"), flush=True)
+    print(f"healthy: {raised} of {len(benches)} benches alarm in {sessions} sessions", flush=True)
+
+
+def changes(folder: Path, benches: Sequence[tuple[str, int]], change: str, sessions: int, order: str) -> None:
+    """Print how many changes are stated, dated within a session, and named in the right part of the bench."""
+    case, stated, dated, right = CHANGES[change], 0, 0, 0
+    for kind, serial in benches:
+        found = _followed(folder, kind, serial, BEGINS + sessions, change, order)[-1]
+        near = found.since is not None and abs(int(found.since) - BEGINS) <= 1
+        stated, dated, right = stated + found.changed, dated + near, right + (near and found.part == case.part)
+        print(f"{change} {kind} {serial}: since {found.since}, {', '.join(found.effects) or 'nothing'} ({found.part})",
+              flush=True)
+    print(f"{change}: {stated} of {len(benches)} stated, {dated} dated within a session, {right} of these in the right "
+          "part", flush=True)
+
+
+def _followed(folder: Path, kind: str, serial: int, sessions: int, change: str | None, order: str, *,
+              every: bool = False) -> list[Outcome]:
+    """Enter a bench's sessions in a logbook; return what is stated at the end, or after every session."""
+    with tempfile.TemporaryDirectory() as place:
+        book = Path(place) / "book"
+        database.create(book, f"{kind} {serial}")
+        numbers = range(sessions) if order == "dates" else range(sessions)[::-1]
+        found = []
+        for k in numbers:
+            logbook_entries.add(book, record(folder, kind, serial, k, change), str(k))
+            if every or k == numbers[-1]:
+                with open_logbook(book) as opened:
+                    found.append(_outcome(state_of(opened) if every else diagnosed_state(opened)))
+        return found
+
+
+def _outcome(state: BenchState) -> Outcome:
+    if not state.alarms:
+        return Outcome(False, None, (), None)
+    names = state.named()
+    part = state.cause.part if state.cause is not None and state.cause.named else (
+        HYPOTHESES[names[0]].part if names else None)
+    return Outcome(True, state.labels.get(state.alarms[0].since), names, part)
 
 
 def performance() -> None:
@@ -69,14 +120,13 @@ def performance() -> None:
         folder = Path(place) / "book"
         database.create(folder, "large")
         _filled(folder)
-        random = np.random.default_rng(1)
-        size = len(CONSTANTS)
-        found = Estimate(0.1 * random.normal(size=size) * PUBLISHED, np.diag(PUBLISHED**2), 8.0 * PUBLISHED, 0.1)
+        with open_logbook(folder) as book:
+            found = next(iter(book.sums(1, [1]).values()))
 
         def add(k: int = 0) -> None:
             with open_logbook(folder) as book:
                 number, _ = book.enter_trial(_trial(TRIALS + k), f"day {TRIALS // PER_SESSION}")
-                book.enter_estimate(number, 1, found)
+                book.enter_sums(number, 1, found)
 
         def listed() -> None:
             with open_logbook(folder) as book:
@@ -101,22 +151,23 @@ def _trial(k: int) -> NewTrial:
 
 
 def _filled(folder: Path) -> None:
-    """Fill a logbook in one transaction; what entries cost is measured afterwards."""
-    size = len(CONSTANTS)
+    """Fill a logbook in one transaction with the sums of a recorded session; what entries cost is measured afterwards.
+    """
+    recorded = folder.parent / "recorded"
+    logbook_entries.add(folder, record(recorded, KINDS[0], 0, 0), "0")
     with open_logbook(folder) as book:
-        book.enter_reference(CONSTANTS, [], np.zeros(len(TABLE)), b"", None)
+        sums: SessionSums = next(iter(book.sums(1, [1]).values()))
+    upper = sums.sums.square[np.triu_indices(sums.sums.pull.size)].tobytes()
     db = sqlite3.connect(folder / database.FILE)
-    random = np.random.default_rng(0)
-    upper = np.diag(PUBLISHED**2)[np.triu_indices(size)].tobytes()
-    sessions = TRIALS // PER_SESSION
-    db.executemany("INSERT INTO session VALUES (?, ?, '2026')", ((k + 1, f"day {k}") for k in range(sessions)))
+    db.executemany("INSERT INTO session VALUES (?, ?, '2026', ?)", (
+        (k + 1, f"day {k}", float(k)) for k in range(1, TRIALS // PER_SESSION)))
     one = _trial(0)
     db.executemany("INSERT INTO trial VALUES (?, ?, ?, ?, '2026', 'gait', 'completed', 20.0, ?, ?, 'commit')", (
         (k + 1, k // PER_SESSION + 1, f"digest {k}", f"{k}.mcap", str(one.conditions).replace("'", '"'),
-         str(one.figures).replace("'", '"')) for k in range(TRIALS)))
+         str(one.figures).replace("'", '"')) for k in range(1, TRIALS)))
     db.executemany("INSERT INTO estimate VALUES (?, 1, '', ?, ?, ?, 0.1)", (
-        (k + 1, (PUBLISHED * random.normal(size=size)).tobytes(), upper, (8.0 * PUBLISHED).tobytes())
-        for k in range(0, TRIALS, PER_SESSION)))
+        (k + 1, upper, sums.sums.pull.tobytes(), sums.growth.tobytes())
+        for k in range(PER_SESSION, TRIALS, PER_SESSION) if k > TRIALS - 100 * PER_SESSION))
     db.commit()
     db.close()
 
@@ -179,122 +230,6 @@ def _duckdb(path: Path) -> Any:
     import duckdb  # type: ignore[import-not-found]
 
     return duckdb.connect(str(path))
-
-
-def alarms(folder: Path, benches: int) -> None:
-    """Print false alarms of drawn healthy benches and the time to detection of each drift.
-
-    A session is drawn: published scatter about the bench, accuracy of the newest estimate of `folder`.  Each bench is
-    searched after every tenth session, as if its report was written then; a session counts as one bench hour.
-    """
-    with open_logbook(folder) as book:
-        kept = book.reference()
-        assert kept is not None
-        accuracy = book.estimates(kept.id, 1)[-1].estimate
-        references = book.references
-    information = np.linalg.inv(accuracy.covariance) - np.diag(accuracy.prior_sd**-2.0)
-    lengths, axes = np.linalg.eigh(0.5 * (information + information.T))
-    root = axes * np.sqrt(np.maximum(lengths, 0.0))
-    information = root @ root.T
-    worst, raised = [], 0
-    for seed in range(benches):
-        sessions = _drawn(seed, information, root, lambda k: {})
-        best = max((search_changes(fit_sessions(sessions[:n], [], references), kept.bench)[0].nats
-                    for n in range(references + 10, SESSIONS + 1, 10)), default=0.0)
-        worst.append(best)
-        raised += best >= ALARM_NATS
-    _print_rate(raised, benches, benches * (SESSIONS - references), worst)
-    for name, course in DRIFTS.items():
-        delays, size = [], 20
-        for seed in range(size):
-            sessions = _drawn(10_000 + seed, information, root, course)
-            first = next((n for n in range(12, SESSIONS + 1) if search_changes(
-                fit_sessions(sessions[:n], [], references), kept.bench)[0].nats >= ALARM_NATS), None)
-            delays.append(np.inf if first is None else first - (10 if "50" in name else 20))
-        seen = [d for d in delays if np.isfinite(d)]
-        median = float(np.median(delays))
-        print(f"{name:34} detected {len(seen)} of {size}"
-              + (f", median {median:.0f} sessions after its begin" if np.isfinite(median) else ""), flush=True)
-
-
-def _print_rate(raised: int, benches: int, sessions: int, worst: Sequence[float]) -> None:
-    """Print the share of benches that alarm and the alarms by session, each with its 95 % interval."""
-    low, high = binomtest(raised, benches).proportion_ci()
-    print(f"healthy: {raised} of {benches} benches alarm ({100.0 * low:.1f} … {100.0 * high:.1f} %), "
-          f"{1000.0 * raised / sessions:.2f} in 1,000 sessions ({1000.0 * low * benches / sessions:.2f} … "
-          f"{1000.0 * high * benches / sessions:.2f}, goal 1); largest evidence {max(worst):.1f} nats, 99 % "
-          f"{np.quantile(worst, 0.99):.1f}, alarm from {ALARM_NATS:g}", flush=True)
-
-
-def shuffled(folder: Path, benches: int) -> None:
-    """Print false alarms of recorded sessions without a change, in `benches` random orders.
-
-    The order of such sessions means nothing, so that each order is a bench without a change whose sessions were
-    recorded and fitted, not drawn from the linear model.  A session counts as one bench hour.
-    """
-    with open_logbook(folder) as book:
-        kept = book.reference()
-        assert kept is not None
-        sessions, references = sessions_of(book.estimates(kept.id, NEWEST)), book.references
-    random, worst = np.random.default_rng(0), []
-    for _ in range(benches):
-        order = random.permutation(len(sessions))
-        bench = [sessions[at]._replace(id=k + 1) for k, at in enumerate(order)]
-        worst.append(max(search_changes(fit_sessions(bench[:n], [], references), kept.bench)[0].nats
-                         for n in range(references + 10, len(bench) + 1, 20)))
-    _print_rate(sum(v >= ALARM_NATS for v in worst), benches, benches * (len(sessions) - references), worst)
-
-
-def limits(folder: Path) -> str:
-    """Return the table of detection limits: sizes of one session's departure whose expected evidence is `ALARM_NATS`.
-
-    By two reference trials under the published session deviations, and by the first ten sessions under the deviations
-    that they measure; accuracy of a session: median of the logbook's.  A bench is known by n sessions with the
-    precision P = P0 + n·M, M = (Λ⁻¹ + diag σ²)⁻¹; a size of a·σ_a has g = a·G, G = eᵀ(M − M(P + M)⁻¹M)e.
-    """
-    with open_logbook(folder) as book:
-        kept = book.reference()
-        assert kept is not None
-        sessions = sessions_of(book.estimates(kept.id, NEWEST))
-    few = _limits(sessions, PUBLISHED, 2, kept.bench)
-    many = _limits(sessions, measured_sd(sessions[:10]), 10, kept.bench)
-    rows = ["| effect | constant | two reference trials | ten sessions | ratio |", "| --- | --- | --- | --- | --- |"]
-    for (name, constant, size), (_, _, less) in zip(few, many, strict=True):
-        unit = TABLE[FREE[CONSTANTS.index(constant)]]
-        by = "ln " if unit.form == "log" else ""
-        rows.append(f"| {name} | {by}{constant} ({unit.unit or '1'}) | {size:.3g} | {less:.3g} | {less / size:.2f} |")
-    ratios = [less / size for (_, _, size), (_, _, less) in zip(few, many, strict=True)]
-    return "\n".join([*rows, "", f"Median ratio {np.median(ratios):.2f}; {sum(r < 1.0 for r in ratios)} of "
-                      f"{len(ratios)} limits fall."])
-
-
-def _limits(sessions: Sequence[SessionData], sd: Any, known: int, bench: Any) -> list[tuple[str, str, float]]:
-    """Return effect, its largest constant in published deviations and the limit in it, by effects of the catalogue."""
-    information = np.median([one.information for one in sessions], axis=0)
-    lengths, axes = np.linalg.eigh(information)
-    root = axes * np.sqrt(np.maximum(lengths, 0.0))
-    information = root @ root.T
-    one = np.linalg.solve(np.eye(sd.size) + information * sd**2, information)
-    bench_precision = np.diag(BENCH_SD[list(FREE)] ** -2.0) + known * one
-    seen = one - one @ np.linalg.solve(bench_precision + one, one)
-    found = {}
-    for candidate in (c for c in candidates(bench) if c.known):
-        e = candidate.columns[:, 0]
-        g = float(e @ seen @ e)
-        at = int(np.argmax(np.abs(e) / PUBLISHED))
-        found.setdefault(candidate.name, (candidate.name, CONSTANTS[at], least_size(g, ALARM_NATS) * abs(float(e[at]))))
-    return list(found.values())
-
-
-def _drawn(seed: int, information: Any, root: Any, course: Callable[[int], dict[str, float]]) -> list[SessionData]:
-    random = np.random.default_rng(seed)
-    found = []
-    for k in range(SESSIONS):
-        q = PUBLISHED * random.normal(size=PUBLISHED.size)
-        for name, size in course(k).items():
-            q[CONSTANTS.index(name)] += size
-        found.append(SessionData(k + 1, information, information @ q + root @ random.normal(size=q.size)))
-    return found
 
 
 if __name__ == "__main__":

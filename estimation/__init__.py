@@ -14,6 +14,10 @@ y: measured outputs of a trial, m: its measured motion.  Modules, lowest first:
     posterior              modes and evidence of one trial
     reference_fit          joint fit of the reference trials
     population_reference   reference condition without reference trials
+    stored_fit             reference posterior as bytes
+    linear_sums            sums of linearised trials: constants, discrepancy, effects
+    running_evidence       evidence of effects by gait cycle, while a trial runs
+    sessions               sessions of a bench over months: scatter, a step or a ramp of an effect
     simulation             many-segment simulation under the measured motion of a trial
     simulation_fit         its parameters, from the fitted force path
     rig_fit                constants of another rig

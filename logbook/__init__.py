@@ -1,6 +1,13 @@
 """Logbook of one bench: trials, sessions, bench constants per session, changes with their dates, maintenance.
 
-Modules, lowest first: `database` (one SQLite file), `session_model` (bench constants and session deviations of many
-sessions), `change_search` (evidence of a step or a ramp, forecast), `bench_page` (one HTML page). The room processes
-numbers only: its callers read and fit the trials.
+Modules, lowest first:
+
+    database         one SQLite file
+    change_cause     trials to diagnose for a change, and the diagnosis that is kept
+    bench_state      state of the bench by the estimator's sequence of sessions
+    maintenance      parts, and constants that a note resets
+    bench_page       one HTML page
+    logbook_tables   CSV and Parquet
+
+Callers read and fit the trials.
 """

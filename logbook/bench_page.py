@@ -9,10 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from logbook.bench_state import BenchState, ConstantCourse
-from logbook.change_search import Change
+from logbook.bench_state import CANNOT, CONSTANTS, BenchState, ConstantCourse
+from logbook.change_cause import DatedChange
 from logbook.database import Logbook, TrialEntry
-from logbook.session_model import CONSTANTS
 from parameters.files import write_whole
 
 WIDTH, HEIGHT = 420.0, 44.0
@@ -24,6 +23,7 @@ h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}table{border-collapse:coll
 td,th{padding:.25em .6em;text-align:left;border-bottom:1px solid #e3e7ec;vertical-align:middle}
 .alarm{background:#fdecea;border-left:5px solid #c62828;padding:.6em 1em;margin:.6em 0}
 .calm{background:#e8f5e9;border-left:5px solid #2e7d32;padding:.6em 1em;margin:.6em 0}
+.unknown{background:#fff8e1;border-left:5px solid #8a6d00;padding:.6em 1em;margin:.6em 0}
 .number{text-align:right;font-variant-numeric:tabular-nums}.missing{color:#c62828}
 svg{display:block}.band{fill:#1f6fb2;opacity:.18}.line{fill:none;stroke:#1f6fb2;stroke-width:1.4}
 .change{stroke:#c62828;stroke-width:1.6}.note{stroke:#8a6d00;stroke-width:1.2;stroke-dasharray:3 2}
@@ -51,18 +51,12 @@ def page(book: Logbook, state: BenchState) -> str:
 
 
 def _alarms(state: BenchState) -> str:
-    if not state.model:
-        return "<p class='calm'>No session is fitted yet: no statement about changes.</p>"
+    first, *further = map(escape, state.sentences())
     if not state.alarms:
-        return "<p class='calm'>No alarm: no change beyond the scatter between sessions.</p>"
-    best = state.alarms[0]
-    told = state.dated(best)
-    since = (f"since session <a href='#session-{best.since}'>{escape(str(told['since']))}</a> (95 %: "
-             f"{escape(str(told['since_interval'][0]))} … {escape(str(told['since_interval'][1]))})")
-    ahead = "".join(f"<br>{_forecast(f)}" for f in state.forecasts)
-    names = escape(", ".join(state.cause.among)) if state.cause is not None and state.cause.named else ""
-    return (f"<p class='alarm'><b>Changed{': ' if names else ''}{names}</b>, as a {best.course}, {since}; "
-            f"{best.nats:.1f} nats.<br>{escape(state.cause_told())}{ahead}</p>")
+        return f"<p class='{'unknown' if state.verdict == CANNOT else 'calm'}'>{first}</p>"
+    since = f"<a href='#session-{state.alarms[0].since}'>Trials of that session.</a>"
+    ahead = [_forecast(f) for f in state.forecasts]
+    return f"<p class='alarm'><b>{first}</b> {since}<br>{'<br>'.join([*further, *ahead])}</p>"
 
 
 def _forecast(f: Any) -> str:
@@ -85,7 +79,7 @@ def _notes(state: BenchState) -> str:
 def _constants(state: BenchState) -> str:
     if not state.courses:
         return ""
-    changed: Change | None = state.alarms[0] if state.alarms else None
+    changed: DatedChange | None = state.alarms[0] if state.alarms else None
     moved = set() if changed is None else {CONSTANTS[k] for k in np.flatnonzero(changed.departure)}
     rows = []
     for name in sorted(state.courses, key=lambda n: n not in moved):
@@ -97,12 +91,12 @@ def _constants(state: BenchState) -> str:
             f"{course.high[-1]:.4g}</small></td><td class='number'>{course.scatter:.2g}<br><small>published "
             f"{course.published:.2g}</small></td></tr>")
     return ("<h2>Constants over sessions</h2><p><small>Band: 95 % interval of a session. Red: begin of the change, in "
-            "the constants that the linear session model moves for it. Dashed: maintenance.</small></p><table><tr>"
+            "the constants that it moves. Dashed: maintenance.</small></p><table><tr>"
             "<th>constant</th><th>sessions</th><th>now, 95 %</th>"
             f"<th>1σ between sessions</th></tr>{''.join(rows)}</table>")
 
 
-def _sparkline(state: BenchState, course: ConstantCourse, change: Change | None) -> str:
+def _sparkline(state: BenchState, course: ConstantCourse, change: DatedChange | None) -> str:
     """Return one constant as SVG; each point leads to its session's trials."""
     count = course.value.size
     low, high = float(course.low.min()), float(course.high.max())
@@ -118,12 +112,11 @@ def _sparkline(state: BenchState, course: ConstantCourse, change: Change | None)
     band = " ".join([*(f"{x(k):.1f},{y(float(v)):.1f}" for k, v in enumerate(course.high)),
                      *(f"{x(k):.1f},{y(float(course.low[k])):.1f}" for k in range(count - 1, -1, -1))])
     marks = []
-    numbers = np.array(state.sessions)
     for note in state.notes:
-        if course.name in note.resets and numbers[0] <= note.after < numbers[-1]:
-            marks.append(("note", float(np.searchsorted(numbers, note.after, side="right")) - 0.5))
+        if course.name in note.resets and note.after in state.sessions[:-1]:
+            marks.append(("note", state.sessions.index(note.after) + 0.5))
     if change is not None:
-        marks.append(("change", float(np.searchsorted(numbers, change.since)) - 0.5))
+        marks.append(("change", state.sessions.index(change.since) - 0.5))
     drawn = "".join(f"<line class='{kind}' x1='{x(k):.1f}' x2='{x(k):.1f}' y1='0' y2='{HEIGHT:.0f}'/>"
                     for kind, k in marks)
     points = "".join(
@@ -138,11 +131,10 @@ def _changes(state: BenchState) -> str:
     if not state.changes:
         return ""
     rows = "".join(
-        f"<tr><td>{escape(c.name)}{'' if c.known else ' <small>(not in the catalogue)</small>'}</td><td>{c.course}</td>"
-        f"<td>{escape(str(state.labels.get(c.since)))}</td><td class='number'>{c.nats:.1f}</td></tr>"
-        for c in state.changes[:8])
-    return ("<h2>Evidence of a change, by the linear session model</h2><p><small>This model dates a change. An effect "
-            "that is not linear fits best as another one: the diagnosis of recorded trials names the cause.</small></p>"
+        f"<tr><td>{escape(c.effect)}</td><td>{c.course}</td><td>{escape(str(state.labels.get(c.since)))}</td>"
+        f"<td class='number'>{c.nats:.1f}</td></tr>" for c in state.changes[:8])
+    return ("<h2>Evidence of a change over all sessions</h2><p><small>Linear in the effect: it dates a change. The "
+            "diagnosis of recorded trials names it where one session alone shows it.</small></p>"
             "<table><tr><th>effect</th><th>course</th><th>likeliest begin</th>"
             f"<th class='number'>ln B (nats)</th></tr>{rows}</table>")
 

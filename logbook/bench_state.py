@@ -1,29 +1,38 @@
-"""Present state of a bench: its constants by session with intervals, changes, alarms, forecasts, maintenance."""
+"""Present state of a bench: what changed since when, its constants by session, forecasts, maintenance."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
-from logbook.change_cause import Cause, kept_cause
-from logbook.change_search import Change, Forecast, alarms, forecast, search_changes, shift_of
-from logbook.database import Logbook, Note, SessionEntry
-from logbook.session_model import CONSTANTS, SessionModel, fit_sessions, sessions_of
+from estimation.linear_sums import effect_columns
+from estimation.path_model import PATH_MODEL
+from estimation.sessions import Change, Reset, SessionSequence
+from estimation.stored_fit import decoded
+from logbook.change_cause import Cause, DatedChange, kept_cause
+from logbook.database import Logbook, Note
 from parameters import InputError
+from physics.effects.hypotheses import HYPOTHESES
 from physics.laws import Array
-from physics.path_constants import FREE, SESSION_SD, TABLE, values
+from physics.path_constants import FREE, NAMES, TABLE, coordinates_of, values
 
-NEWEST: Final = 120
+CONSTANTS: Final = tuple(NAMES[i] for i in FREE)
+"""Names of the constants that a session determines."""
+NEWEST: Final = 60
 """Newest sessions that changes are searched in, besides the reference sessions: bounds the cost of a long logbook."""
+LEAST_REFERENCES: Final = 3
+"""Reference sessions before anything is stated: two do not show how far sessions of a bench scatter."""
+ALARM_NATS: Final = 10.0
+"""Log Bayes factor from which a change is stated: `python -m benchmarks.logbook --recorded` prints the rates.
 
-
-CALIBRATED: Final = 10
-"""Reference sessions with which the rate of false alarms was measured; with fewer there is evidence and no alarm.
-
-With two, the evidence of a healthy simulated bench passes the threshold."""
+If it is too small, benches without a change alarm; if it is too large, small changes are stated some sessions later."""
+SET_SHARE: Final = 0.5
+"""Share of the best log Bayes factor from which an effect is in the ambiguity set, as in a single diagnosis."""
+CANNOT, UNCHANGED, CHANGED = "cannot tell yet", "unchanged", "changed"
 
 
 @dataclass(frozen=True)
@@ -42,36 +51,64 @@ class ConstantCourse:
     scatter: float
     published: float
 
+    @property
+    def departure(self) -> float:
+        """Distance of the newest value from the first one, over the scatter between sessions."""
+        return abs(float(self.value[-1] - self.value[0])) / max(self.scatter, 1e-300)
+
+
+class Forecast(NamedTuple):
+    """Sessions from now until a constant reaches a limit: middle and 95 % interval; None: not within the data."""
+
+    constant: str
+    limit: float
+    sessions: float | None
+    low: float | None
+    high: float | None
+
 
 @dataclass(frozen=True)
 class BenchState:
-    """State of a bench; `labels` of the sessions in `sessions`; `courses` by constant; empty without an estimate.
+    """State of a bench; `sessions`: numbers of the fitted sessions by date; `labels` of all sessions.
 
-    `changes`, `alarms`: by the linear session model, best first.  `cause`: kept diagnosis of the alarm; None if it has
-    none.
+    `changes`: evidence of each effect, best first.  `alarms`: ambiguity set of a change, empty without one.  `cause`:
+    diagnosis of the alarm (None: it has none).  `scatter`: 1σ between sessions by constant, in coordinates.
     """
 
     name: str
     sessions: tuple[int, ...]
     labels: Mapping[int, str]
     references: int
-    courses: Mapping[str, ConstantCourse]
-    changes: Sequence[Change]
-    alarms: Sequence[Change]
-    forecasts: Sequence[Forecast]
     notes: Sequence[Note]
-    model: SessionModel | None
     hours: float
     counts: Mapping[str, int]
+    courses: Mapping[str, ConstantCourse]
+    changes: Sequence[DatedChange] = ()
+    alarms: Sequence[DatedChange] = ()
+    forecasts: Sequence[Forecast] = ()
+    scatter: Mapping[str, float] | None = None
     cause: Cause | None = None
+
+    @property
+    def verdict(self) -> str:
+        """Return the verdict on the bench: `CHANGED`, `UNCHANGED` or `CANNOT`."""
+        if self.alarms:
+            return CHANGED
+        return UNCHANGED if len(self.sessions) > self.needed else CANNOT
+
+    @property
+    def needed(self) -> int:
+        """Number of reference sessions before a statement is made."""
+        return max(self.references, LEAST_REFERENCES)
 
     def as_json(self) -> dict[str, Any]:
         """Return the state as plain values."""
         return {
-            "bench": self.name, **{f"{what}s": count for what, count in self.counts.items()}, "hours": self.hours,
-            "reference_sessions": min(self.references, len(self.sessions)), "alarms": [
-                self.dated(c) | self.caused() for c in self.alarms[:1]],
-            "changes": [self.told(c) for c in self.changes[:max(6, len(self.alarms))]],
+            "bench": self.name, "verdict": self.verdict, "told": self.sentences(),
+            **{f"{what}s": count for what, count in self.counts.items()}, "hours": self.hours,
+            "reference_sessions": min(self.references, len(self.sessions)),
+            "alarms": [self.dated(c) | self.caused() for c in self.alarms[:1]],
+            "changes": [{"effect": c.effect} | self.dated(c) for c in self.changes[:max(6, len(self.alarms))]],
             "forecasts": [f._asdict() for f in self.forecasts],
             "constants": {n: {"value": float(c.value[-1]), "low": float(c.low[-1]), "high": float(c.high[-1]),
                               "unit": c.unit, "session_sd": c.scatter, "published_session_sd": c.published}
@@ -79,40 +116,55 @@ class BenchState:
             "notes": [{"text": n.text, "made": n.made, "after": self.labels.get(n.after), "resets": list(n.resets)}
                       for n in self.notes]}
 
-    def told(self, change: Change) -> dict[str, Any]:
-        """Return one change of the linear session model: the effect that fits it best, its evidence and its date."""
-        return {"effect": change.name, "in_catalogue": change.known, **self.dated(change)}
+    def sentences(self) -> list[str]:
+        """Return what changed, since when and by which evidence, in sentences; the most important one first."""
+        if self.verdict == CANNOT:
+            return [f"Cannot tell yet: {len(self.sessions)} sessions are fitted; a change is stated from "
+                    f"{self.needed + 1} on, {self.needed} of them the reference."]
+        if self.verdict == UNCHANGED:
+            return [f"No change in {len(self.sessions)} sessions beyond their scatter; the first "
+                    f"{self.needed} are the reference."]
+        best, names = self.alarms[0], ", ".join(c.effect for c in self.alarms)
+        low, high = (self.labels.get(s) for s in (best.since_low, best.since_high))
+        when = f"session {self.labels.get(best.since)}" + ("" if low == high else f" (95 %: {low} … {high})")
+        first = (f"Changed since {when}, as a {best.course}: {', '.join(self.named())}; {best.nats:.0f} nats over all "
+                 "sessions.")
+        cause = self.cause or Cause(None, remark="not diagnosed yet.")
+        of = f"session {self.labels.get(cause.session)} against {', '.join(map(str, self._referred(cause)))}"
+        if cause.named:
+            return [first, f"Diagnosis of {of}:", *cause.card]
+        because = {None: cause.remark, "refused": f"{of}: {cause.remark}",
+                   "unexplained": f"{of}: no effect of the catalogue predicts it",
+                   "none": f"{of}: no effect is large enough in one session alone"}[cause.verdict]
+        return [first, f"Named by the evidence of all sessions ({names}). No diagnosis of one session: "
+                       f"{because.rstrip('.')}."]
+
+    def named(self) -> tuple[str, ...]:
+        """Return the effects of the change: by the diagnosis if it names one, else by the evidence of all sessions."""
+        if self.cause is not None and self.cause.named:
+            return self.cause.among
+        return () if self.cause is not None and self.cause.verdict == "unexplained" else tuple(
+            c.effect for c in self.alarms)
 
     def caused(self) -> dict[str, Any]:
-        """Return the diagnosis of the alarm; `verdict` null and the reason in `remark` if there is none."""
+        """Return the diagnosis of the alarm; without one `verdict` is null and `remark` the reason."""
         cause = self.cause or Cause(None, remark="not diagnosed yet.")
-        return {"verdict": cause.verdict, "among": list(cause.among), "part": cause.part,
-                "remark": cause.remark or None, "session": self.labels.get(cause.session), "trials": list(cause.trials),
-                "references": [self.labels.get(number) for number in cause.references]}
+        named = self.named()
+        return {"effects": list(named), "verdict": cause.verdict, "among": list(cause.among),
+                "part": cause.part if cause.named else HYPOTHESES[named[0]].part if named else None,
+                "card": list(cause.card), "remark": cause.remark or None, "session": self.labels.get(cause.session),
+                "trials": list(cause.trials), "references": self._referred(cause)}
 
-    def cause_told(self) -> str:
-        """Return the diagnosis of the alarm as one sentence."""
-        told = self.caused()
-        of = f"session {told['session']} against {', '.join(map(str, told['references']))}"
-        names = ", ".join(told["among"])
-        return {
-            None: f"Cause not diagnosed: {told['remark']}",
-            "refused": f"Cause not diagnosed, {of}: {told['remark']}",
-            "found": f"Diagnosis of {of}: {names} ({told['part']}).",
-            "ambiguous": f"Diagnosis of {of}: one of {names} ({told['part']}); these trials do not separate them.",
-            "unexplained": f"Diagnosis of {of}: unexplained, no effect of the catalogue predicts it.",
-            "none": f"Diagnosis of {of}: no effect is large enough in one session to be named.",
-        }[told["verdict"]]
+    def _referred(self, cause: Cause) -> list[str | None]:
+        return [self.labels.get(number) for number in cause.references]
 
-    def dated(self, change: Change) -> dict[str, Any]:
-        """Return evidence and date of a change, with the constants that the session model moves for it."""
+    def dated(self, change: DatedChange) -> dict[str, Any]:
+        """Return evidence and date of a change, with the constants that it moves."""
         moved = {}
         for k in np.flatnonzero(change.departure):
-            name = CONSTANTS[k]
-            course = self.courses[name]
-            moved[name] = {"departure": float(change.departure[k]), "departure_sd": float(change.departure_sd[k]),
-                           "scatter": float(self.model.sd[k]) if self.model else None, "now": float(course.value[-1]),
-                           "unit": course.unit}
+            course = self.courses[CONSTANTS[k]]
+            moved[CONSTANTS[k]] = {"now": float(course.value[-1]), "before": float(course.value[0]),
+                                   "unit": course.unit}
         return {"nats": change.nats, "course": change.course, "since": self.labels.get(change.since),
                 "since_interval": [self.labels.get(change.since_low), self.labels.get(change.since_high)],
                 "constants": moved}
@@ -123,53 +175,106 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
     for name in limits or {}:
         if name not in CONSTANTS:
             raise InputError(f"--limit {name}: is no constant of the bench; expected one of {', '.join(CONSTANTS)}.")
-    entries: dict[int, SessionEntry] = {s.id: s for s in book.sessions()}
-    labels = {number: entry.label for number, entry in entries.items()}
-    notes, kept = book.notes(), book.reference()
-    sessions = [] if kept is None else sessions_of(book.estimates(kept.id, NEWEST))
-    common: dict[str, Any] = {"name": book.name, "labels": labels, "references": book.references, "notes": notes,
-                              "hours": book.hours(), "counts": book.counts()}
-    if kept is None or not sessions or kept.constants != CONSTANTS:
-        return BenchState(sessions=(), courses={}, changes=(), alarms=(), forecasts=(), model=None, **common)
-    model = fit_sessions(sessions, notes, book.references)
-    changes = search_changes(model, kept.bench)
-    raised = alarms(changes) if len(sessions) > CALIBRATED and book.references >= CALIBRATED else []
-    ahead = forecast(model, kept.bench, changes[0], limits or {}) if raised else [
-        Forecast(n, v, None, None, None) for n, v in (limits or {}).items()]
-    courses = _courses(model, kept.bench, raised)
-    cause = kept_cause(book, raised[0], model.sessions, notes) if raised else None
-    return BenchState(sessions=model.sessions, courses=courses, changes=changes, alarms=raised, forecasts=ahead,
-                      model=model, cause=cause, **common)
+    labels = {entry.id: entry.label for entry in book.sessions()}
+    common: dict[str, Any] = {"name": book.name, "labels": labels, "references": book.references,
+                              "notes": book.notes(), "hours": book.hours(), "counts": book.counts()}
+    followed = sequence_of(book)
+    if followed is None:
+        return BenchState(sessions=(), courses={}, forecasts=[Forecast(n, v, None, None, None)
+                                                              for n, v in (limits or {}).items()], **common)
+    numbers, sequence = followed
+    with threadpool_limits(1, user_api="blas"):
+        changes, variance = sequence.search() if sequence.count > 1 else ([], sequence.scatter())
+        best = changes[0] if changes and changes[0].nats >= ALARM_NATS else None
+        courses = _courses(sequence, variance, best)
+    dated = [_dated(sequence, numbers, change) for change in changes]
+    alarms = [c for c in dated if best is not None and c.nats >= SET_SHARE * best.nats]
+    return BenchState(
+        sessions=numbers, courses=courses, changes=dated, alarms=alarms,
+        forecasts=[_forecast(sequence, best, courses, n, v) for n, v in (limits or {}).items()],
+        scatter=dict(zip(CONSTANTS, np.sqrt(variance).tolist(), strict=True)),
+        cause=kept_cause(book, alarms[0], numbers, common["notes"]) if alarms else None, **common)
+
+
+def sequence_of(book: Logbook, without: int | None = None) -> tuple[tuple[int, ...], SessionSequence] | None:
+    """Return the numbers of the fitted sessions by date, and their sequence; None if none is fitted.
+
+    `without`: session that is left out.
+    """
+    kept = book.reference()
+    if kept is None or kept.constants != CONSTANTS:
+        return None
+    order = [s.id for s in book.sessions() if s.id != without]
+    fitted = book.sums(kept.id, list(dict.fromkeys([*order[:book.references], *order[-NEWEST:]])))
+    if not fitted:
+        return None
+    numbers, fit = tuple(n for n in order if n in fitted), decoded(kept.model, PATH_MODEL)
+    resets = {Reset(CONSTANTS.index(name), _before(order, numbers, note.after)) for note in book.notes()
+              for name in note.resets if name in CONSTANTS}
+    return numbers, SessionSequence(fit, effect_columns(fit), [fitted[n] for n in numbers],
+                                    max(book.references, LEAST_REFERENCES), sorted(resets))
 
 
 def measured_deviations(book: Logbook) -> dict[str, float] | None:
-    """Return 1σ between sessions by constant, in coordinates, from the reference sessions; None with fewer than two."""
-    kept = book.reference()
-    sessions = [] if kept is None else sessions_of(book.estimates(kept.id, 0))
-    if len(sessions) < 2:
+    """Return 1σ between sessions by constant, in coordinates; None with fewer than two sessions.
+
+    A change of the bench does not count as scatter.
+    """
+    followed = sequence_of(book)
+    if followed is None or followed[1].count < 2:
         return None
-    model = fit_sessions(sessions, [], book.references)
-    return dict(zip(CONSTANTS, model.sd.tolist(), strict=True))
+    with threadpool_limits(1, user_api="blas"):
+        _, variance = followed[1].search()
+    return dict(zip(CONSTANTS, np.sqrt(variance).tolist(), strict=True))
 
 
-def _courses(model: SessionModel, bench_q: Array, raised: Sequence[Change]) -> dict[str, ConstantCourse]:
-    means, sds = model.smoothed(shift_of(model, raised[0]) if raised else None)
+def _before(order: Sequence[int], numbers: Sequence[int], after: int) -> int:
+    """Return the number of fitted sessions up to the session `after` of a note."""
+    done = set(order[:order.index(after) + 1]) if after in order else set()
+    return sum(n in done for n in numbers)
+
+
+def _dated(sequence: SessionSequence, numbers: Sequence[int], change: Change) -> DatedChange:
+    since, low, high = (numbers[row] for row in (change.since, change.since_low, change.since_high))
+    return DatedChange(change.effect, change.nats, change.course, since, low, high, sequence.moved(change)[0])
+
+
+def _courses(sequence: SessionSequence, variance: Array, change: Change | None) -> dict[str, ConstantCourse]:
+    means, sds = sequence.constants(variance, change)
+    mean = sequence.fit.prior.origin.copy()
+    mean[list(FREE)] += sequence.fit.prior.mean[:len(FREE)]
     found = {}
     for k, i in enumerate(FREE):
         row = TABLE[i]
-        sets = np.repeat(bench_q[:, None], means.shape[0], axis=1)
 
-        def at(q: Array, i: int = i, sets: Array = sets) -> Array:
-            moved = sets.copy()
-            moved[i] += q
-            return np.asarray(values(moved)[i])
+        def at(q: Array, i: int = i) -> Array:
+            sets = np.repeat(mean[:, None], q.size, axis=1)
+            sets[i] += q
+            return np.asarray(values(sets)[i])
 
-        middle = at(means[:, k])
         ends = np.stack([at(means[:, k] - 1.96 * sds[:, k]), at(means[:, k] + 1.96 * sds[:, k])])
-
-        def scatter(sd: float, at: Any = at, middle: Array = middle) -> float:
-            return float(abs(at(np.full(middle.size, sd))[0] - at(np.zeros(middle.size))[0]))
-
-        found[row.name] = ConstantCourse(row.name, row.unit, row.meaning, middle, ends.min(axis=0), ends.max(axis=0),
-                                         scatter(float(model.sd[k])), scatter(float(SESSION_SD[i])))
+        scatter, published = (float(abs(np.diff(at(np.array([0.0, sd])))[0]))
+                              for sd in np.sqrt([variance[k], sequence.published[k]]))
+        found[row.name] = ConstantCourse(row.name, row.unit, row.meaning, at(means[:, k]), ends.min(axis=0),
+                                         ends.max(axis=0), scatter, published)
     return found
+
+
+def _forecast(sequence: SessionSequence, change: Change | None, courses: Mapping[str, ConstantCourse], name: str,
+              limit: float) -> Forecast:
+    """Return when a constant that a ramp moves reaches a limit, if the ramp goes on."""
+    k = CONSTANTS.index(name)
+    departure, sd = (np.zeros(len(FREE)),) * 2 if change is None else sequence.moved(change)
+    if change is None or change.course != "ramp" or not departure[k]:
+        return Forecast(name, limit, None, None, None)
+    goal, now = (coordinates_of(_with(sequence, k, value))[FREE[k]] for value in (limit, courses[name].value[-1]))
+    paces = (departure[k] + np.array([1.96, 0.0, -1.96]) * np.sign(departure[k]) * sd[k]) / (
+        sequence.count - change.since)
+    high, middle, low = (float((goal - now) / pace) if (goal - now) * pace > 0.0 else None for pace in paces[::-1])
+    return Forecast(name, limit, middle, low, high)
+
+
+def _with(sequence: SessionSequence, k: int, value: float) -> Array:
+    constants = values(sequence.fit.bench_coordinates())
+    constants[FREE[k]] = value
+    return np.asarray(constants)

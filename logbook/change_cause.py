@@ -1,8 +1,8 @@
 """Cause of a change: the recorded trials to diagnose for it, and the diagnosis that the logbook keeps.
 
-The session model is linear and dates a change; an effect that acts otherwise looks like another effect in it.  The
-cause is therefore the verdict of a diagnosis: trials of one session since the change against trials of sessions before
-it.  A caller that can diagnose runs it (`bowden.models.change_diagnosis`).
+The evidence of all sessions is linear in the constants and dates a change.  Its cause is the verdict of a diagnosis:
+trials of one session since the change against trials of sessions before it.  A caller that can diagnose runs it
+(`bowden.models.change_diagnosis`).
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import hashlib
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-from logbook.change_search import Change
 from logbook.database import Logbook, Note, TrialEntry
 from parameters import InputError
+from physics.laws import Array
 
 MOST_TRIALS: Final = 4
 """Most reference trials, and most trials of the session since the change: more cost seconds each and add less than
@@ -23,11 +23,28 @@ MORE_SESSIONS: Final = 2
 was too small to name has grown."""
 
 
+class DatedChange(NamedTuple):
+    """A change of one effect: log Bayes factor in nats, course, number of its first session with the 95 % interval.
+
+    `departure`: of the free constants at the newest session, in coordinates.
+    """
+
+    effect: str
+    nats: float
+    course: str
+    since: int
+    since_low: int
+    since_high: int
+    departure: Array
+
+
 class Cause(NamedTuple):
     """Cause of a change by diagnosis: `verdict`, ambiguity set and part of the bench; `remark`: a reason or warning.
 
+    `card`: first sentences of the diagnosis' page.
+
     `verdict` None: not diagnosed, for the reason in `remark`.  `session`: the diagnosed one; `references`: sessions of
-    the reference trials; `trials`: numbers of the diagnosed trials; `since`: sessions since the change at that time.
+    the reference trials; `trials`: files of the diagnosed trials; `since`: sessions since the change at that time.
     """
 
     verdict: str | None
@@ -36,8 +53,9 @@ class Cause(NamedTuple):
     remark: str = ""
     session: int = 0
     references: tuple[int, ...] = ()
-    trials: tuple[int, ...] = ()
+    trials: tuple[str, ...] = ()
     since: int = 0
+    card: tuple[str, ...] = ()
 
     @property
     def named(self) -> bool:
@@ -62,7 +80,7 @@ class _Sessions(NamedTuple):
     since: int
 
 
-def kept_cause(book: Logbook, change: Change, sessions: Sequence[int], notes: Sequence[Note]) -> Cause | None:
+def kept_cause(book: Logbook, change: DatedChange, sessions: Sequence[int], notes: Sequence[Note]) -> Cause | None:
     """Return the diagnosis that the logbook keeps of a change; None if its sessions are not on both sides of it."""
     content = book.cause()
     if content is None:
@@ -73,12 +91,12 @@ def kept_cause(book: Logbook, change: Change, sessions: Sequence[int], notes: Se
     return kept if kept.session in of.after and set(kept.references) <= set(of.before) else None
 
 
-def outdated(cause: Cause | None, change: Change, sessions: Sequence[int], notes: Sequence[Note]) -> bool:
+def outdated(cause: Cause | None, change: DatedChange, sessions: Sequence[int], notes: Sequence[Note]) -> bool:
     """Return whether a change is to be diagnosed: not yet diagnosed, or long ago (`MORE_SESSIONS`)."""
     return cause is None or _sessions(change, sessions, notes).since >= MORE_SESSIONS * cause.since
 
 
-def trials_of(book: Logbook, change: Change, sessions: Sequence[int], notes: Sequence[Note]) -> CauseTrials:
+def trials_of(book: Logbook, change: DatedChange, sessions: Sequence[int], notes: Sequence[Note]) -> CauseTrials:
     """Return the trials to diagnose: of the newest session since the change, and of the first ones before it.
 
     Maintenance that resets a constant ends the sessions on either side.  All trials are of one experiment.  Raises
@@ -107,13 +125,13 @@ def enter_cause(book: Logbook, found: Cause) -> None:
     book.enter_cause(content)
 
 
-def _sessions(change: Change, sessions: Sequence[int], notes: Sequence[Note]) -> _Sessions:
-    resets = [note.after for note in notes if note.resets]
-    begin = max((after for after in resets if after < change.since), default=0)
-    end = min((after for after in resets if after >= change.since), default=max(sessions))
-    return _Sessions(tuple(s for s in sessions if begin < s < change.since_low),
-                     tuple(s for s in sessions if change.since_high <= s <= end),
-                     sum(change.since <= s <= end for s in sessions))
+def _sessions(change: DatedChange, sessions: Sequence[int], notes: Sequence[Note]) -> _Sessions:
+    at = {number: k for k, number in enumerate(sessions)}
+    resets = [at.get(note.after, -1) for note in notes if note.resets]
+    begin = max((after for after in resets if after < at[change.since]), default=-1)
+    end = min((after for after in resets if after >= at[change.since]), default=len(sessions) - 1)
+    return _Sessions(tuple(sessions[begin + 1:at[change.since_low]]), tuple(sessions[at[change.since_high]:end + 1]),
+                     end + 1 - at[change.since])
 
 
 def _recorded(book: Logbook, session: int) -> list[TrialEntry]:

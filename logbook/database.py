@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime
 import json
 import os
+import re
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from estimation.linear_sums import SessionSums, Sums
 from parameters import InputError
 from physics.laws import Array
 
@@ -25,8 +27,10 @@ PATIENCE_S: Final = 60.0
 """Longest wait for another process's entry, s; an entry itself takes milliseconds."""
 APPLICATION: Final = 0x424F5744
 """SQLite's application_id of a logbook: "BOWD"."""
-REFERENCES: Final = 10
+REFERENCES: Final = 3
 """Number of reference sessions, counted from the first, without `bowden logbook init --references`."""
+UNFITTED: Final = "not fitted yet"
+"""Remark of a trial whose fit was not made yet."""
 MIGRATIONS: Final = ("""
 CREATE TABLE setting (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE session (id INTEGER PRIMARY KEY, label TEXT NOT NULL UNIQUE, began TEXT NOT NULL);
@@ -51,8 +55,18 @@ CREATE INDEX trial_of_session ON trial(session);
 CREATE INDEX verdict_of_trial ON verdict(trial);
 """, """
 CREATE TABLE cause (id INTEGER PRIMARY KEY, made TEXT NOT NULL, content TEXT NOT NULL);
+""", """
+ALTER TABLE session ADD COLUMN place REAL;
+DELETE FROM cause;
+DROP TABLE estimate;
+DELETE FROM reference;
+CREATE TABLE estimate (
+    trial INTEGER PRIMARY KEY REFERENCES trial(id), reference INTEGER REFERENCES reference(id), remark TEXT NOT NULL,
+    square BLOB, pull BLOB, growth BLOB, rmse_n REAL);
 """)
-"""SQL of each version of the schema, applied to the one before it; `PRAGMA user_version` counts them."""
+"""SQL of each version of the schema, applied to the one before it; `PRAGMA user_version` counts them.
+
+The fourth drops estimates of single trials, which a later `add` makes anew from the files."""
 
 
 class TrialEntry(NamedTuple):
@@ -87,34 +101,26 @@ class NewTrial(NamedTuple):
     software: str
 
 
-class Estimate(NamedTuple):
-    """Bench constants of one trial: posterior `mean` and `covariance` under the prior N(0, `prior_sd`²).
-
-    Coordinates relative to the reference model; `rmse_n`: RMS residual of START and END after the fit, N.
-    """
-
-    mean: Array
-    covariance: Array
-    prior_sd: Array
-    rmse_n: float
-
-
-class StoredEstimate(NamedTuple):
-    """An estimate with the session that it belongs to."""
+class StoredSums(NamedTuple):
+    """Sums of a trial under the reference model, with the session that it belongs to."""
 
     session: int
     trial: int
-    estimate: Estimate
+    sums: SessionSums
 
 
 class SessionEntry(NamedTuple):
-    """One session: its number from 1 in the order of entry, label, first entry, trials and recorded seconds."""
+    """One session: its number, label, first entry, trials, recorded seconds, and its `place` in time.
+
+    `place`: days of a date or number of a simulated day; None: the label is neither, and no recording has a date.
+    """
 
     id: int
     label: str
     began: str
     trials: int
     seconds: float
+    place: float | None
 
 
 class Note(NamedTuple):
@@ -128,12 +134,11 @@ class Note(NamedTuple):
 
 
 class ReferenceModel(NamedTuple):
-    """A reference model: names of its constants, the trials it was fitted to, its coordinates, its encoded content."""
+    """A reference model: names of its constants, the trials it was fitted to, its encoded content."""
 
     id: int
     constants: tuple[str, ...]
     trials: tuple[int, ...]
-    bench: Array
     model: bytes
 
 
@@ -184,8 +189,9 @@ class Logbook:
 
     # -- entries -------------------------------------------------------------------------------------------------
 
-    def enter_trial(self, new: NewTrial, session: str) -> tuple[int, bool]:
-        """Enter a trial in the session of that label; return its number and whether it is new.
+    def enter_trial(self, new: NewTrial, session: str, place: float | None = None) -> tuple[int, bool]:
+        """Enter a trial in the session of that label, which is at `place` in time; return its number and whether it is
+        new.
 
         A file of the same content is entered once; where it was moved, its path is brought up to date.
         """
@@ -195,7 +201,9 @@ class Logbook:
             if known is not None:
                 db.execute("UPDATE trial SET path = ? WHERE id = ?", (path, known[0]))
                 return int(known[0]), False
-            db.execute("INSERT OR IGNORE INTO session(label, began) VALUES (?, ?)", (session, now()))
+            db.execute("INSERT OR IGNORE INTO session(label, began, place) VALUES (?, ?, ?)", (session, now(), place))
+            db.execute("UPDATE session SET place = min(coalesce(place, ?1), ?1) WHERE label = ?2 AND ?1 IS NOT NULL",
+                       (place, session))
             of = db.execute("SELECT id FROM session WHERE label = ?", (session,)).fetchone()[0]
             entered = db.execute(
                 "INSERT INTO trial(session, digest, path, added, experiment, outcome, seconds, conditions, figures, "
@@ -204,25 +212,24 @@ class Logbook:
                  _json(new.figures), new.software))
             return int(entered.lastrowid or 0), True
 
-    def enter_reference(self, constants: Sequence[str], trials: Sequence[int], bench: Array, model: bytes,
-                        after: int | None) -> bool:
+    def enter_reference(self, constants: Sequence[str], trials: Sequence[int], model: bytes, after: int | None) -> bool:
         """Enter a reference model unless another one than `after` is the newest; return whether it was entered."""
         with self._writing() as db:
             newest = db.execute("SELECT max(id) FROM reference").fetchone()[0]
             if newest != after:
                 return False
             db.execute("INSERT INTO reference(made, constants, trials, bench, model) VALUES (?, ?, ?, ?, ?)", (
-                now(), json.dumps(list(constants)), json.dumps(list(trials)), _packed(bench), model))
+                now(), json.dumps(list(constants)), json.dumps(list(trials)), b"", model))
             return True
 
-    def enter_estimate(self, trial: int, reference: int, found: Estimate) -> bool:
-        """Enter the estimate of a trial; False, and nothing entered, where a newer reference model is there."""
+    def enter_sums(self, trial: int, reference: int, found: SessionSums) -> bool:
+        """Enter the sums of a trial; False, and nothing entered, if a newer reference model is there."""
         with self._writing() as db:
             if db.execute("SELECT max(id) FROM reference").fetchone()[0] != reference:
                 return False
+            upper = found.sums.square[np.triu_indices(found.sums.pull.size)]
             db.execute("INSERT OR REPLACE INTO estimate VALUES (?, ?, '', ?, ?, ?, ?)", (
-                trial, reference, _packed(found.mean), _packed(found.covariance[np.triu_indices(found.mean.size)]),
-                _packed(found.prior_sd), found.rmse_n))
+                trial, reference, *map(_packed, (upper, found.sums.pull, found.growth)), found.rmse_n))
             return True
 
     def enter_remark(self, trial: int, remark: str) -> None:
@@ -246,10 +253,9 @@ class Logbook:
             db.execute("INSERT INTO model(made, kind, path, content) VALUES (?, ?, ?, ?)",
                        (now(), kind, self._stored(path), content))
 
-    def enter_note(self, text: str, resets: Sequence[str]) -> Note:
-        """Enter maintenance done after the newest session."""
+    def enter_note(self, text: str, resets: Sequence[str], after: int) -> Note:
+        """Enter maintenance done after the session `after` (0: before the first one)."""
         with self._writing() as db:
-            after = db.execute("SELECT coalesce(max(id), 0) FROM session").fetchone()[0]
             made = now()
             entered = db.execute("INSERT INTO note(made, after, text, resets) VALUES (?, ?, ?, ?)",
                                  (made, after, text, json.dumps(list(resets))))
@@ -274,7 +280,7 @@ class Logbook:
                 where, given = f"WHERE {column} = ?", [value]
         rows = self._rows(
             "SELECT t.id, t.session, s.label, t.path, t.added, t.experiment, t.outcome, t.seconds, t.conditions, "
-            "t.figures, t.software, e.mean IS NOT NULL, coalesce(e.remark, 'not fitted yet') FROM trial t "
+            f"t.figures, t.software, e.square IS NOT NULL, coalesce(e.remark, '{UNFITTED}') FROM trial t "
             f"JOIN session s ON s.id = t.session LEFT JOIN estimate e ON e.trial = t.id {where} "
             "ORDER BY t.id DESC LIMIT ?", (*given, -1 if most is None else most))
         return [TrialEntry(r[0], r[1], r[2], r[3], self.place(r[3]).exists(), r[4], r[5], r[6], r[7], json.loads(r[8]),
@@ -293,13 +299,12 @@ class Logbook:
         """Return where a stored path is: relative ones are relative to the logbook."""
         return self.folder / stored
 
-    def sessions(self, most: int | None = None) -> list[SessionEntry]:
-        """Return the newest `most` sessions (None: all), oldest first."""
-        rows = self._rows(
-            "SELECT s.id, s.label, s.began, count(t.id), coalesce(sum(t.seconds), 0) FROM (SELECT * FROM session "
-            "ORDER BY id DESC LIMIT ?) s LEFT JOIN trial t ON t.session = s.id GROUP BY s.id ORDER BY s.id",
-            (-1 if most is None else most,))
-        return [SessionEntry(*row) for row in rows]
+    def sessions(self) -> list[SessionEntry]:
+        """Return the sessions in the order of their dates, whatever the order of entry."""
+        rows = self._rows("SELECT s.id, s.label, s.began, count(t.id), coalesce(sum(t.seconds), 0), s.place FROM "
+                          "session s LEFT JOIN trial t ON t.session = s.id GROUP BY s.id")
+        entries = [SessionEntry(*row) for row in rows]
+        return sorted(entries, key=lambda s: (s.place is None, s.place or 0.0, _natural(s.label)))
 
     def notes(self) -> list[Note]:
         """Return every maintenance entry, oldest first."""
@@ -324,27 +329,25 @@ class Logbook:
 
     def reference(self) -> ReferenceModel | None:
         """Return the newest reference model."""
-        rows = self._rows("SELECT id, constants, trials, bench, model FROM reference ORDER BY id DESC LIMIT 1")
+        rows = self._rows("SELECT id, constants, trials, model FROM reference ORDER BY id DESC LIMIT 1")
         return None if not rows else ReferenceModel(rows[0][0], tuple(json.loads(rows[0][1])), tuple(json.loads(
-            rows[0][2])), np.frombuffer(rows[0][3], "<f8").copy(), rows[0][4])
+            rows[0][2])), rows[0][3])
 
-    def estimates(self, reference: int, most: int) -> list[StoredEstimate]:
-        """Return the estimates under one reference model of its first `references` and the newest `most` sessions."""
-        ids = {row[0] for order in ("ASC", "DESC") for row in self._rows(
-            "SELECT DISTINCT t.session FROM estimate e JOIN trial t ON t.id = e.trial WHERE e.reference = ? "
-            f"ORDER BY t.session {order} LIMIT ?", (reference, self.references if order == "ASC" else most))}
-        if not ids:
-            return []
-        rows = self._rows(
-            "SELECT t.session, e.trial, e.mean, e.covariance, e.prior_sd, e.rmse_n FROM estimate e JOIN trial t "
-            f"ON t.id = e.trial WHERE e.reference = ? AND t.session IN ({','.join('?' * len(ids))}) "
-            "ORDER BY t.session, e.trial", (reference, *sorted(ids)))
-        return [StoredEstimate(row[0], row[1], _estimate(*row[2:])) for row in rows]
+    def sums(self, reference: int, sessions: Sequence[int]) -> dict[int, SessionSums]:
+        """Return the sums of each of `sessions` that has a trial fitted under one reference model, by session."""
+        found: dict[int, SessionSums] = {}
+        for session in sessions:
+            rows = self._rows(
+                "SELECT e.square, e.pull, e.growth, e.rmse_n FROM estimate e JOIN trial t ON t.id = e.trial WHERE "
+                "e.reference = ? AND t.session = ? ORDER BY t.digest", (reference, session))
+            for one in (_sums(*row) for row in rows):
+                found[session] = found[session].joined(one) if session in found else one
+        return found
 
     def unfitted(self) -> list[int]:
         """Return the numbers of trials that were entered but not fitted, under the newest reference model."""
         rows = self._rows(
-            "SELECT t.id FROM trial t LEFT JOIN estimate e ON e.trial = t.id WHERE e.trial IS NULL OR (e.mean IS NOT "
+            "SELECT t.id FROM trial t LEFT JOIN estimate e ON e.trial = t.id WHERE e.trial IS NULL OR (e.square IS NOT "
             "NULL AND e.reference < (SELECT max(id) FROM reference)) ORDER BY t.id")
         return [row[0] for row in rows]
 
@@ -458,9 +461,15 @@ def _packed(values: Array) -> bytes:
     return np.ascontiguousarray(values, dtype="<f8").tobytes()
 
 
-def _estimate(mean: bytes, covariance: bytes, prior_sd: bytes, rmse_n: float) -> Estimate:
-    middle = np.frombuffer(mean, "<f8").copy()
-    whole = np.zeros((middle.size, middle.size))
-    whole[np.triu_indices(middle.size)] = np.frombuffer(covariance, "<f8")
+def _sums(square: bytes, pull: bytes, growth: bytes, rmse_n: float) -> SessionSums:
+    own = np.frombuffer(pull, "<f8").copy()
+    whole = np.zeros((own.size, own.size))
+    whole[np.triu_indices(own.size)] = np.frombuffer(square, "<f8")
     whole += np.triu(whole, 1).T
-    return Estimate(middle, whole, np.frombuffer(prior_sd, "<f8").copy(), rmse_n)
+    return SessionSums(Sums(whole, own), np.frombuffer(growth, "<f8").copy(), rmse_n)
+
+
+def _natural(text: str) -> tuple[tuple[bool, float, str], ...]:
+    """Return a key by which numbers in a text are sorted by their value."""
+    return tuple((not part.isdigit(), float(part) if part.isdigit() else 0.0, part)
+                 for part in re.split(r"(\d+)", text) if part)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -48,26 +48,30 @@ class ExperimentPlan:
                 "by_hand": self.by_hand}
 
 
-def of_trials(trials: Sequence[Path], healthy: Sequence[Path], session_sd: dict[str, float] | None = None
+def of_trials(trials: Sequence[Path], healthy: Sequence[Path], session_sd: Mapping[str, float] | None = None
               ) -> ExperimentPlan:
     """Plan for trials of one session against reference trials; raises `InputError`."""
     return _planned([_usable(path) for path in trials], [_usable(path) for path in healthy], session_sd)
 
 
 def of_logbook(folder: Path) -> ExperimentPlan:
-    """Plan for the newest trial of a logbook that a diagnosis left ambiguous, with the experiments of its session."""
-    from bowden.models import logbook_entries
+    """Plan for the change that `bowden logbook show` states; without one for the newest trial that a diagnosis left
+    ambiguous, with the experiments of its session."""
+    from bowden.models import change_diagnosis, logbook_entries
     from logbook.database import open_logbook
 
     healthy, deviations = logbook_entries.reference_trials(folder)
     with open_logbook(folder) as book:
+        change = change_diagnosis.change_trials(book)
+        if change is not None:
+            return of_trials(change.trials, change.references, change.session_sd)
         for entry in book.trials():
             told = book.verdicts(entry.id)
             if told and told[-1].get("verdict") == "ambiguous":
                 same = [t for t in book.trials(session=entry.session)
                         if t.there and (t.id == entry.id or t.experiment not in ("", "gait"))]
                 return of_trials([book.place(t.path) for t in same], healthy, deviations)
-    raise InputError(f"{folder}: no verdict of this logbook is ambiguous; bowden diagnose TRIAL "
+    raise InputError(f"{folder}: states no change, and no verdict of it is ambiguous; bowden diagnose TRIAL "
                      f"--logbook {folder} enters verdicts.")
 
 
@@ -88,7 +92,8 @@ def of_model(model: Path) -> ExperimentPlan:
         return of_trials(paths[-1:], paths[:-1])
 
 
-def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: dict[str, float] | None) -> ExperimentPlan:
+def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapping[str, float] | None
+             ) -> ExperimentPlan:
     from threadpoolctl import threadpool_limits
 
     from diagnosis.evidence import decision

@@ -247,7 +247,7 @@ def perform(
     compile_laws(simulated=simulated, progress=progress)
     planned = prepared.planned()
     with opened(prepared.chosen, network, truth=truth) as bus:
-        recorder = Recorder(output, metadata={"bus": prepared.chosen.told,
+        recorder = Recorder(output, metadata={"bus": prepared.chosen.told, **_session_of(prepared),
                                               **provenance.metadata(prepared.experiment, prepared.script),
                                               **_metadata(prepared)},
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
@@ -284,6 +284,11 @@ def perform(
     if picture is not None and kept:
         report.picture(output, picture, prepared.experiment)
     return figures
+
+
+def _session_of(prepared: Prepared) -> dict[str, str]:
+    """Return the simulated day, by which a logbook orders sessions; nothing on hardware, whose times are dates."""
+    return {"day": str(prepared.chosen.arguments["day"])} if prepared.chosen.simulated else {}
 
 
 def _metadata(prepared: Prepared) -> dict[str, str]:

@@ -14,7 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bowden.watch.gait_windows import GaitWindow, GaitWindows
-from bowden.watch.running_evidence import RunningEvidence, WatchVerdict
+from diagnosis.evidence.decision import SET_SHARE, threshold
 from diagnosis.finder import Finder
 from diagnosis.findings import Findings
 from estimation.data import integrity, scales, table
@@ -22,6 +22,7 @@ from estimation.data.table import Table
 from estimation.likelihood_data import SIGNALS, PathRecording, lacking
 from estimation.path_model import PATH_MODEL
 from estimation.reference_fit import fit_reference
+from estimation.running_evidence import Naming, RunningEvidence, WatchVerdict
 from parameters import InputError
 from physics.effects.hypotheses import HYPOTHESES
 from trial.growing import GrowingTrial
@@ -30,6 +31,8 @@ ANY: Final = "any"
 """Word for every effect in --stop-on."""
 STOP_PERCENT: Final = 2.0
 """Error of END, % of the peak, that a named effect must cost for a stop."""
+NAMING: Final = Naming(threshold, SET_SHARE)
+"""Rule of the diagnosis by which a suspicion names effects."""
 DRIFT_S: Final = 20.0
 """Time, s, over which a running trial's drifts are counted, since its end is unknown yet."""
 
@@ -111,7 +114,7 @@ class FileWatch:
             with threadpool_limits(1, user_api="blas"):
                 recordings = [PathRecording(_only(t, outputs)) for t in self._tables]
                 fit = fit_reference(PATH_MODEL, recordings, self._bench.session_sd)
-            self._evidence[outputs] = RunningEvidence(fit, DRIFT_S, _missed_n(self._tables))
+            self._evidence[outputs] = RunningEvidence(fit, DRIFT_S, NAMING, _missed_n(self._tables))
         return self._evidence[outputs]
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from bowden.watch.running_evidence import LEAD_S, MOTION_COLUMNS
+from estimation.running_evidence import MOTION_COLUMNS
 from physics.laws import Array
+
+LEAD_S: Final = 2.5
+"""Time simulated before a cycle, s, so that friction states are known at its start."""
 
 
 class GaitWindow(NamedTuple):

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pytest
 
-from logbook.change_search import ALARM_NATS, SET_SHARE
+from logbook.bench_state import ALARM_NATS, SET_SHARE
 from tests.hidden.family import like
 from tests.plants import draws, imposed
 from tests.plants.bench import Bench, replaced
@@ -96,7 +96,7 @@ def test_sixty_sessions_of_a_bench(name: str, here: Path, motion: imposed.Motion
     told("init", "book")
     for session in range(SESSIONS):
         if bench.note and session == BEGINS:
-            assert "cable" in told("note", "book", bench.note)["resets"]
+            assert "cable" in told("note", "book", bench.note, "--part", "cable")["resets"]
         path = here / f"{session}.csv"
         _record(path, bench, session, motion)
         told("add", "book", path, "--session", session)

@@ -21,13 +21,13 @@ import numpy as np
 from scipy.stats import binomtest
 from threadpoolctl import threadpool_limits
 
-from bowden.watch.file_watch import DRIFT_S
+from bowden.watch.file_watch import DRIFT_S, NAMING
 from bowden.watch.gait_windows import GaitWindows
-from bowden.watch.running_evidence import RunningEvidence, WatchVerdict
 from diagnosis.finder import diagnose
 from estimation.likelihood_data import SIGNALS, PathRecording
 from estimation.path_model import PATH_MODEL
 from estimation.reference_fit import fit_reference
+from estimation.running_evidence import RunningEvidence, WatchVerdict
 from tests.hidden.evidence_calibration import hidden_jobs, reference_jobs
 from tests.hidden.family import Case, Job, case
 
@@ -61,7 +61,7 @@ class Watched:
 def watched(made: Case) -> Iterator[WatchVerdict]:
     """Yield the suspicion after each gait cycle of a case."""
     fit = fit_reference(PATH_MODEL, [PathRecording(t) for t in made.healthy])
-    running = RunningEvidence(fit, span_s=DRIFT_S)
+    running = RunningEvidence(fit, DRIFT_S, NAMING)
     names = tuple(made.trial.columns)
     windows = GaitWindows(names, period_s=2.0)
     rows = np.stack([made.trial[name] for name in names], axis=1)

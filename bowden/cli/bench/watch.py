@@ -17,7 +17,7 @@ from bowden.cli.option_groups import Bus, grouped, watched_bench
 
 if TYPE_CHECKING:
     from bowden.watch.file_watch import FileWatch, WatchedBench
-    from bowden.watch.running_evidence import WatchVerdict
+    from estimation.running_evidence import WatchVerdict
 
 Written = Annotated[Path | None, typer.Argument(
     metavar="TRIAL", help="Trial that is being written, by bowden trial or bowden record.", show_default=False)]

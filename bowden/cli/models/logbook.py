@@ -23,7 +23,7 @@ Files = Annotated[list[Path], typer.Argument(
     metavar="FILE…", help="Trials (.mcap) or tables (CSV, Parquet, …).", show_default=False)]
 Name = Annotated[str, typer.Option("--name", metavar="TEXT", help="Name of the bench (default: the folder's).")]
 References = Annotated[int, typer.Option(
-    metavar="COUNT", help="First sessions that the scatter between sessions is measured from.")]
+    metavar="COUNT", help="First sessions, by date, that are the reference; a change is stated after them.")]
 Most = Annotated[int, typer.Option("--most", metavar="COUNT", min=1, help="Newest trials to list.")]
 Number = Annotated[int | None, typer.Option("--trial", metavar="NUMBER", help="One trial in place of the bench.")]
 Limits = Annotated[list[str] | None, typer.Option(
@@ -31,13 +31,18 @@ Limits = Annotated[list[str] | None, typer.Option(
 Table = Annotated[str, typer.Option(
     metavar="NAME", help="trials, sessions, constants, verdicts, notes or models.")]
 Text = Annotated[str, typer.Argument(metavar="TEXT", help="What was done.", show_default=False)]
-Resets = Annotated[list[str] | None, typer.Option(
-    "--resets", metavar="NAME", help="Part (cable, fabric, knee, start, end, drive) or constant that it changed; "
-    "repeatable (default: those that TEXT names).")]
+Part = Annotated[list[str] | None, typer.Option(
+    metavar="NAME", help="Part (cable, fabric, knee, start, end, drive) or constant that is new; repeatable.",
+    autocompletion=lambda incomplete: _completed(incomplete))]
+After = Annotated[str | None, typer.Option(
+    metavar="LABEL", help="Session after which it was done (default: the newest by date).")]
+Everything = Annotated[bool, typer.Option("--all", help="All constants, in place of the ten that moved most.")]
+SHOWN = 10
+"""Constants that `show` prints without --all."""
 
 
 @logbook.command("init")
-def init_logbook(folder: Folder, name: Name = "", references: References = 10, json: options.Json = False) -> int:
+def init_logbook(folder: Folder, name: Name = "", references: References = 3, json: options.Json = False) -> int:
     """Make an empty logbook of one bench.
 
     Example: bowden logbook init bench1
@@ -94,8 +99,9 @@ def list_trials(folder: Folder, most: Most = 20, json: options.Json = False) -> 
 
 
 @logbook.command("show")
-def show_bench(folder: Folder, trial: Number = None, limit: Limits = None, json: options.Json = False) -> int:
-    """Show the bench's constants, changes and forecasts, or one trial.
+def show_bench(folder: Folder, trial: Number = None, limit: Limits = None, everything: Everything = False,
+               json: options.Json = False) -> int:
+    """Show what changed, the ten constants that moved most and forecasts, or one trial.
 
     Example: bowden logbook init bench1 && bowden logbook show bench1 --limit cable=0.3
     """
@@ -110,7 +116,7 @@ def show_bench(folder: Folder, trial: Number = None, limit: Limits = None, json:
         if json:
             terminal.emit(state.as_json() | {"models": book.models()})
         else:
-            _tell(state)
+            _tell(state, len(state.courses) if everything else SHOWN)
     return 0
 
 
@@ -156,34 +162,37 @@ def export_logbook(folder: Folder, output: options.Output, table: Table = "trial
 
 
 @logbook.command("note")
-def note_maintenance(folder: Folder, text: Text, resets: Resets = None, json: options.Json = False) -> int:
-    """Enter maintenance; a part that it names is new from the next session on.
+def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After = None, json: options.Json = False
+                     ) -> int:
+    """Enter maintenance; constants of a --part may jump from the next session on without an alarm.
 
-    Example: bowden logbook init bench1 && bowden logbook note bench1 "cable replaced"
+    Example: bowden logbook init bench1 && bowden logbook note bench1 "cable replaced" --part cable
     """
     from logbook.database import open_logbook
-
-    names = _resets(text, resets)
-    with open_logbook(folder) as book:
-        note = book.enter_note(text, names)
-    if json:
-        terminal.emit({"note": note.id, "text": text, "resets": list(names)})
-    else:
-        print(f"Note {note.id}: {text}. Resets: {', '.join(names) or 'nothing'}.")
-    return 0
-
-
-def _resets(text: str, given: Sequence[str] | None) -> tuple[str, ...]:
-    from logbook.session_model import CONSTANTS, PARTS, resets_named
+    from logbook.maintenance import constants_of
     from parameters import InputError
 
     if not text.strip():
-        raise InputError("logbook note: the text is empty; say what was done.")
-    for name in given or ():
-        if name not in PARTS and name not in CONSTANTS:
-            raise InputError(f"--resets {name}: is neither a part ({', '.join(PARTS)}) nor a constant; "
-                             "bowden logbook show lists the constants.")
-    return resets_named(" ".join(name.upper() if name in PARTS else name for name in given) if given else text)
+        raise InputError("logbook note: the text is empty; write what was done.")
+    names = constants_of(part or ())
+    with open_logbook(folder) as book:
+        sessions = {session.label: session.id for session in book.sessions()}
+        if after is not None and after not in sessions:
+            raise InputError(f"--after {after}: is no session of the logbook; bowden logbook list shows their labels.")
+        last = next(reversed(sessions.values()), 0) if after is None else sessions[after]
+        note = book.enter_note(text, names, last)
+    if json:
+        terminal.emit({"note": note.id, "text": text, "resets": list(names)})
+    else:
+        print(f"Note {note.id}: {text}. Resets: {', '.join(names) or 'nothing; --part names what is new'}.")
+    return 0
+
+
+def _completed(incomplete: str) -> list[str]:
+    from logbook.bench_state import CONSTANTS
+    from logbook.maintenance import PARTS
+
+    return [name for name in (*PARTS, *CONSTANTS) if name.startswith(incomplete)]
 
 
 def _limits(given: Sequence[str] | None) -> dict[str, float]:
@@ -221,23 +230,19 @@ def _show_trial(book: Any, number: int, json: bool) -> int:
     return 0
 
 
-def _tell(state: BenchState) -> None:
-    if not state.courses:
-        print(f"{state.name}: no session is fitted yet; bowden logbook add enters trials.")
-        return
-    terminal.table(f"{state.name}: constants in session {state.labels[state.sessions[-1]]}", (
-        "constant", "unit", "value", "95 % interval", "1σ between sessions"), [
-        (c.name, c.unit or "1", f"{c.value[-1]:.4g}", f"{c.low[-1]:.4g} … {c.high[-1]:.4g}", f"{c.scatter:.2g}")
-        for c in state.courses.values()])
-    if state.alarms:
-        best = state.dated(state.alarms[0])
-        first, last = best["since_interval"]
-        print(f"Changed, as a {best['course']}, since session {best['since']} (95 %: {first} … {last}); "
-              f"{best['nats']:.1f} nats.")
-        print(state.cause_told())
-    else:
-        print("No alarm: no change beyond the scatter between sessions.")
+def _tell(state: BenchState, most: int) -> None:
+    for sentence in state.sentences():
+        print(sentence)
     for ahead in state.forecasts:
         print(f"{ahead.constant} is not forecast to reach {ahead.limit:g}." if ahead.sessions is None else
               f"{ahead.constant} reaches {ahead.limit:g} in {ahead.sessions:.0f} sessions "
               f"(95 %: {ahead.low or 0:.0f} … {'no limit' if ahead.high is None else f'{ahead.high:.0f}'}).")
+    if not state.courses:
+        return
+    courses = sorted(state.courses.values(), key=lambda course: -course.departure)[:most]
+    terminal.table(f"{state.name}: constants in session {state.labels[state.sessions[-1]]}", (
+        "constant", "unit", "first", "now", "95 % interval", "1σ between sessions"), [
+        (c.name, c.unit or "1", f"{c.value[0]:.4g}", f"{c.value[-1]:.4g}", f"{c.low[-1]:.4g} … {c.high[-1]:.4g}",
+         f"{c.scatter:.2g}") for c in courses])
+    if len(courses) < len(state.courses):
+        print(f"{len(state.courses) - len(courses)} further constants: --all.")

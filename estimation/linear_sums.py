@@ -1,0 +1,184 @@
+"""Sums of a linearised recording over its data: of the constants, the discrepancy and every effect of the catalogue.
+
+    e ≈ H·x + E·s + ε,  H = [∂f/∂q, Φ]        x departure from the reference posterior's mean, s sizes of effects
+    square = TᵀWT,  pull = TᵀWe,  T = [H, E]
+
+Sums of recordings of one session add up.  A watch adds gait cycles, a logbook sessions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from estimation.forward_model import ForwardModel
+from estimation.likelihood_data import Recording
+from estimation.posterior import bounded, mode
+from estimation.reference_fit import ReferenceFit
+from physics.constant_table import ConstantTable
+from physics.effects.hypotheses import Variant
+from physics.laws import Array
+
+DRIFT: Final = "drift"
+DRIFTING: Final = ("cable", "fabric")
+"""Constants that the constant `DRIFT` changes in proportion to the progress of a trial."""
+
+
+class EffectColumns(NamedTuple):
+    """Columns of one variant of an effect among the columns of all effects, E."""
+
+    effect: str
+    variant: Variant
+    at: slice
+
+
+class Sums(NamedTuple):
+    """Sums over data: `square`, shape (n + m, n + m), and `pull`, shape (n + m,), of n base and m effect columns."""
+
+    square: Array
+    pull: Array
+
+    def __add__(self, other: Sums) -> Sums:  # type: ignore[override]
+        """Return the sums over the data of both."""
+        return Sums(self.square + other.square, self.pull + other.pull)
+
+
+class Slopes(NamedTuple):
+    """Prediction at one point, its slopes by the free constants, and the effect columns E, each with rows of data."""
+
+    data: Array
+    base: Array
+    effects: Array
+
+
+def effect_columns(fit: ReferenceFit) -> list[EffectColumns]:
+    """Return the columns of every variant that moves one of the outputs."""
+    table = fit.model.constants
+    q = fit.prior.origin.copy()
+    q[list(table.free)] += fit.prior.mean[:len(table.free)]
+    found, first = [], 0
+    for name, hypothesis in fit.model.hypotheses.items():
+        if set(hypothesis.needs) <= set(fit.outputs):
+            for variant in hypothesis.variants(table.named(q)):
+                count = len(variant.directions)
+                found.append(EffectColumns(name, variant, slice(first, first + count)))
+                first += count
+    return found
+
+
+def slopes(model: ForwardModel, columns: Sequence[EffectColumns], q: Array, trial: Recording) -> Slopes:
+    """Return prediction, slopes and effect columns at coordinates `q`, by one batch of simulations.
+
+    A friction drift is the slope by the friction's coefficients, times the progress of the trial.
+    """
+    table = model.constants
+    batch = _Batch(table, q)
+    base = [batch.moved((), table.names[i]) for i in table.free]
+    parts = []
+    for part in columns:
+        names = [n for d in part.variant.directions for n in _along(table, d.along)]
+        origin = _origin(model, q, part.variant, names)
+        parts.append([(d, [(batch.moved(origin, n), n, share) for n, share in _along(table, d.along).items()])
+                      for d in part.variant.directions])
+    data = model.predict(np.stack(batch.sets, axis=1), trial)
+    slope = [np.zeros(0) if of is None else (data[k] - data[of]) / table.step[i] for k, (of, i) in enumerate(batch.of)]
+    progress = np.tile(trial.binned(trial.progress), len(trial.outputs))
+    effects = []
+    for part_of in parts:
+        for direction, terms in part_of:
+            column = np.sum([share * slope[k] for k, _, share in terms], axis=0)
+            effects.append(direction.sd * column * (progress if DRIFT in direction.along else 1.0))
+    return Slopes(data[0], np.stack([slope[k] for k in base], axis=1), np.stack(effects, axis=1))
+
+
+class _Batch:
+    """Coordinate vectors to simulate; `of`: for each the number of its origin (None: it is one) and its constant."""
+
+    def __init__(self, table: ConstantTable, q: Array) -> None:
+        self.table, self.sets = table, [q]
+        self.of: list[tuple[int | None, int]] = [(None, 0)]
+        self._known: dict[tuple[tuple[tuple[int, float], ...], str], int] = {((), ""): 0}
+
+    def moved(self, origin: tuple[tuple[int, float], ...], name: str) -> int:
+        """Return the number of the vector with constant `name` one step away from `origin`, changes of q by row."""
+        if (origin, name) not in self._known:
+            base = 0
+            if origin:
+                base = self._known.get((origin, ""), len(self.sets))
+                if base == len(self.sets):
+                    at = self.sets[0].copy()
+                    for i, value in origin:
+                        at[i] = value
+                    self._add(origin, "", at, (None, 0))
+            i = self.table.index[name]
+            stepped = self.sets[base].copy()
+            stepped[i] += self.table.step[i]
+            self._add(origin, name, stepped, (base, i))
+        return self._known[origin, name]
+
+    def _add(self, origin: tuple[tuple[int, float], ...], name: str, at: Array, of: tuple[int | None, int]) -> None:
+        self._known[origin, name] = len(self.sets)
+        self.sets.append(at)
+        self.of.append(of)
+
+
+def _along(table: ConstantTable, along: Mapping[str, float]) -> Mapping[str, float]:
+    """Return a direction of the evidence; a friction drift by the constants that it changes."""
+    if DRIFT in along and all(name in table.index for name in DRIFTING):
+        return dict.fromkeys(DRIFTING, along[DRIFT])
+    return along
+
+
+def _origin(model: ForwardModel, q: Array, variant: Variant, names: Sequence[str]) -> tuple[tuple[int, float], ...]:
+    """Return the coordinates, by row, in which the point of a variant's slopes differs from `q`, as in `response`."""
+    table, at = model.constants, q.copy()
+    for name, value in variant.at.items():
+        at[table.index[name]] = table.coordinate(name, value)
+    for name, (amount, size) in model.amounts.items():
+        if name in names:
+            at[table.index[amount]] += size
+    moved = [table.index[n] for n in names]
+    at[moved] = table.lifted(at)[moved]
+    return tuple((int(i), float(at[i])) for i in np.flatnonzero(at != q))
+
+
+class SessionSums(NamedTuple):
+    """Sums of the trials of one session, with the growth of its deviation's variance by its motion, shape (n,).
+
+    `rmse_n`: RMS residual of the judged outputs at the mode.
+    """
+
+    sums: Sums
+    growth: Array
+    rmse_n: float
+
+    def joined(self, other: SessionSums) -> SessionSums:
+        """Return the sums of both, of trials of one session."""
+        return SessionSums(self.sums + other.sums, np.maximum(self.growth, other.growth),
+                           float(np.hypot(self.rmse_n, other.rmse_n) / np.sqrt(2.0)))
+
+
+def session_sums(fit: ReferenceFit, columns: Sequence[EffectColumns], recordings: Sequence[Recording]) -> SessionSums:
+    """Return the sums of a session's trials, linearised at its posterior mode without an effect."""
+    observed = fit.observe(*recordings)
+    prior = fit.prior_of(observed)
+    null = mode(observed, prior)
+    made = [slopes(fit.model, columns, null.q, trial) for trial in recordings]
+    base = np.concatenate([np.concatenate([each.base for each in made]), observed.features], axis=1)
+    residual = observed.data - np.concatenate([each.data for each in made]) - observed.features @ null.x[
+        null.constants:]
+    growth = (np.diag(prior.covariance - fit.bench.covariance) / np.diag(fit.prior.covariance - fit.bench.covariance))
+    judged = [fit.model.errors(t, rows)[n] for t, rows in observed.each(residual) for n in fit.model.judged
+              if n in t.outputs]
+    return SessionSums(
+        summed(base, np.concatenate([each.effects for each in made]), residual + base @ (null.x - prior.mean),
+               bounded(residual, observed.weight)), growth, float(np.sqrt(np.mean(np.concatenate(judged) ** 2))))
+
+
+def summed(base: Array, effects: Array, error: Array, weight: Array) -> Sums:
+    """Return the sums of columns over data with the `error` of the reference posterior's mean and `weight`s."""
+    every = np.concatenate([base, effects], axis=1)
+    heavy = every.T * weight
+    return Sums(heavy @ every, heavy @ error)
