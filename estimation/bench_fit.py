@@ -27,7 +27,7 @@ from estimation.transfer import trial_calibration
 from parameters import InputError
 from physics.bench_model import BenchModel, of_calibration
 from physics.calibration import Calibration, ScalarEvidence
-from physics.parameters import RELATION_PARAMETERS
+from physics.parameters import ESTIMATED
 
 Values = Mapping[str, float]
 
@@ -211,11 +211,11 @@ def _constants(values: Values, found: IdentifiedBench) -> dict[str, Constant]:
     """
     constants = {}
     for name, sigma in found.sigma.items():
-        stated = RELATION_PARAMETERS[name]
+        stated = ESTIMATED[name]
         half = 1.96 * math.hypot(sigma, values[name] - found.values[name])
         value, low, high = (min(max(values[name] + side * half, stated.low), stated.high) for side in (0.0, -1.0, 1.0))
         constants[name] = Constant(value, low, high, stated.unit, rig_fit.determined(sigma, found.prior_sigma[name]))
-    return constants | {n: Constant(values[n], values[n], values[n], RELATION_PARAMETERS[n].unit, False)
+    return constants | {n: Constant(values[n], values[n], values[n], ESTIMATED[n].unit, False)
                         for n in FIXED}
 
 

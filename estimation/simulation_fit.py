@@ -24,7 +24,7 @@ from estimation.transfer.trial_calibration import scalars_of
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
 from physics.laws import Array
-from physics.parameters import RELATION_PARAMETERS, Parameter
+from physics.parameters import ESTIMATED, Parameter
 from physics.path_constants import INDEX, SESSION_SD
 from physics.path_parameters import DIRECT, simulation_values
 from physics.plant import imposed
@@ -164,12 +164,12 @@ def fitted(trials: Sequence[Table], bench: IdentifiedBench, seconds: float = 6.0
     """
     simulated = [_Simulated(t, seconds) for t in trials]
     names = [n for n in REFITTED if n in bench.sigma]
-    width = np.array([np.hypot(bench.sigma[n], difference * _size(RELATION_PARAMETERS[n])) for n in names])
+    width = np.array([np.hypot(bench.sigma[n], difference * _size(ESTIMATED[n])) for n in names])
     own = [(k, n) for k in range(len(trials)) for n in OWN if len(trials) > 1]
     mean = np.concatenate([[bench.values[n] for n in names], np.zeros(len(own))])
     scale = np.concatenate([width, [OWN[n] for _, n in own]])
-    low = np.array([*(RELATION_PARAMETERS[n].low for n in names), *(-5.0 * OWN[n] for _, n in own)])
-    high = np.array([*(RELATION_PARAMETERS[n].high for n in names), *(5.0 * OWN[n] for _, n in own)])
+    low = np.array([*(ESTIMATED[n].low for n in names), *(-5.0 * OWN[n] for _, n in own)])
+    high = np.array([*(ESTIMATED[n].high for n in names), *(5.0 * OWN[n] for _, n in own)])
     # the variables are 10 at the prior mean, since SciPy's finite-difference step is relative to them
     bounds = [10.0 + (edge - mean) / scale for edge in (low, high)]
 

@@ -23,7 +23,7 @@ from physics.effects.catalogue import CATALOGUE, complete
 from physics.effects.effects_table import EVIDENCE, TABLE, stated
 from physics.end_discrepancy import EndDiscrepancy
 from physics.older_files import OLDER_TABLES, READ, VERSION, translated
-from physics.parameters import BY_PLANT, PARAMETERS, RELATION_PARAMETERS, healthy
+from physics.parameters import BY_PLANT, ESTIMATED, PARAMETERS, healthy
 from physics.terms import Term
 
 FITTED: Final = "fitted"
@@ -114,9 +114,9 @@ class BenchModel:
         return kept
 
     def related(self) -> dict[str, float]:
-        """Return the inputs of the diagnosis' prediction equations, without effects, as far as they are given."""
+        """Return the parameters that a fit of the simulation estimates, without effects, as far as they are stated."""
         told = converted(RELATED, converted(SIMULATED, self.values)) | dict(self.simulation)
-        return {name: told[name] for name in RELATION_PARAMETERS if name in told}
+        return {name: told[name] for name in ESTIMATED if name in told}
 
     def at_work(self) -> dict[str, float]:
         """Return the parameters that the effects set, by name."""

@@ -197,7 +197,7 @@ def _value(where: str, key: str, p: Parameter, row: Any) -> float:
 def _accepted(p: Parameter) -> tuple[float, float]:
     """Return the bounds of a value in a file: those of a measurement and, where a relation reads it, of a fit."""
     low, high = p.rig_bounds if p.assumed is None else (p.assumed.low, p.assumed.high)
-    if p.in_relations:
+    if p.is_estimated:
         low, high = min(low, p.low), max(high, p.high)
     # of two signals either may be the later one
     return (min(low, -high), high) if p.name in ("end_delay", "timestamp_skew") else (low, high)

@@ -1,6 +1,6 @@
 """The two main plots of a diagnosis: residual over the gait before and after, and the force loop START over END.
 
-The residual is that of the prediction equation with the largest gain.  Curves are bin means; nothing is smoothed.
+The residual is that of the output with the largest gain.  Curves are bin means; nothing is smoothed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ALONG: Final = (("gait_percent", "gait_percent (%)", "gait phase"), ("time_s", "
 
 
 class MeanResidual(NamedTuple):
-    """Residual of one prediction equation in bins: mean and root mean square, `before` and `after`, in `unit`."""
+    """Residual of one output in bins: mean and root mean square, `before` and `after`, in `unit`."""
 
     relation: str
     unit: str
@@ -48,7 +48,7 @@ class ForceLoop(NamedTuple):
 
 
 def section(page: Page, found: Findings) -> None:
-    """Add both plots to the page, or a note if no prediction equation was searched."""
+    """Add both plots to the page, or a note if no output was searched."""
     one = residual(found)
     if one is None:
         page.text("No signal was compared, so there is no picture.", "note")
@@ -75,9 +75,9 @@ def section(page: Page, found: Findings) -> None:
 
 
 def residual(found: Findings) -> MeanResidual | None:
-    """Return the residual of the prediction equation with the largest gain, over gait phase, else over time.
+    """Return the residual of the output with the largest gain, over gait phase, else over time.
 
-    None if no prediction equation was checked or compared.
+    None if no output was compared.
     """
     best = strongest(found)
     if best is None or not found.traces.get(best[0]):

@@ -203,9 +203,9 @@ def test_a_bench_is_fitted_to_the_friction_that_it_was_made_with() -> None:
     rubbing = bowden.simulated(serial=0, plant_model={"plant": {"mu1": 0.11}})
     trial = bowden.run(walk, bus=rubbing)
     fitted = bowden.fit([trial])
-    from physics.parameters import RELATION_PARAMETERS, healthy
+    from physics.parameters import ESTIMATED, healthy
 
-    assert all(p.low <= fitted.values[name] <= p.high for name, p in RELATION_PARAMETERS.items()
+    assert all(p.low <= fitted.values[name] <= p.high for name, p in ESTIMATED.items()
                if name in fitted.values)
     assert fitted.evidence["mu1"].low <= 0.11 <= fitted.evidence["mu1"].high
     # rope and fabric share the friction that one gait shows: at the loaded knee their sum is determined
