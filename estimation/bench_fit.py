@@ -122,7 +122,7 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
     whole = identified(tables)
     values = simulation_fit.fitted(tables, whole)
     constants = _constants(values, whole)
-    known = of_calibration(trial_calibration.calibrated(tables, whole.values, whole.scalars))
+    known = of_calibration(_calibration(tables, whole))
     figures = {end: {"unseen_rms_n": row["rms_n"], "peak_n": row["peak_n"]} for end, row in unseen.items()
                if row["rms_n"] is not None}
     model = dataclasses.replace(
@@ -137,7 +137,11 @@ def calibrated(trials: Sequence[Table]) -> Calibration:
     """Return the calibration that `fit` would find, without a fit of the simulation; trials of a bench, as recorded."""
     with threadpool_limits(1, user_api="blas"):
         bench = identified(trials)
-        return trial_calibration.calibrated(trials, bench.values, bench.scalars)
+        return _calibration(trials, bench)
+
+
+def _calibration(trials: Sequence[Table], bench: IdentifiedBench) -> Calibration:
+    return trial_calibration.calibrated(trials, bench.scalars, bench.scalar_sigma, bench.values["end_offset"])
 
 
 def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:

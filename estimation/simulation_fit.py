@@ -47,9 +47,9 @@ OWN: Final = {name: float(SESSION_SD[INDEX[row]]) for name, row in (
 class IdentifiedBench:
     """Parameters of the simulation, SI, converted from a fitted force path.
 
-    `sigma` and `prior_sigma`: posterior and prior 1σ by parameter.  `scalars`: posterior 1σ of the scalars of a
-    calibration that the trials determine.  `warning`: sentence on another minimum of the fit ("": none).  `unlike`:
-    sentence on why the trials are not of a rope over a knee ("": they are).
+    `sigma` and `prior_sigma`: posterior and prior 1σ by parameter.  `scalars`: scalars of a calibration, and
+    `scalar_sigma`: posterior 1σ of those that the trials determine.  `warning`: sentence on another minimum of the fit
+    ("": none).  `unlike`: sentence on why the trials are not of a rope over a knee ("": they are).
     """
 
     values: Values
@@ -57,6 +57,7 @@ class IdentifiedBench:
     prior_sigma: Values
     unlike: str = ""
     scalars: Values = dataclasses.field(default_factory=dict)
+    scalar_sigma: Values = dataclasses.field(default_factory=dict)
     warning: str = ""
 
 
@@ -78,16 +79,12 @@ def identified_by(fit: ReferenceFit) -> IdentifiedBench:
     """Return a fitted force path as parameters of the simulation."""
     names, free = _determined(fit.outputs), list(fit.model.constants.free)
     size = len(free)
-    values = simulation_values(_path(fit, fit.bench.mean[:size]))
+    path = _path(fit, fit.bench.mean[:size])
+    values, scalars = simulation_values(path), scalars_of(path)
     after, before = fit.bench.covariance[:size, :size], np.diag(fit.model.constants.bench_sd[free] ** 2)
-    scalars = list(scalars_of(values))
-    prior = _sigma(fit, before, scalars, _scalars)
-    return IdentifiedBench(values, _sigma(fit, after, names), _sigma(fit, before, names), scalars={
-        name: sd for name, sd in _sigma(fit, after, scalars, _scalars).items() if determined(sd, prior[name])})
-
-
-def _scalars(path: Values) -> dict[str, float]:
-    return scalars_of(simulation_values(path))
+    prior = _sigma(fit, before, list(scalars), scalars_of)
+    return IdentifiedBench(values, _sigma(fit, after, names), _sigma(fit, before, names), "", scalars, {
+        name: sd for name, sd in _sigma(fit, after, list(scalars), scalars_of).items() if determined(sd, prior[name])})
 
 
 def bench_model_of(fit: ReferenceFit) -> BenchModel:

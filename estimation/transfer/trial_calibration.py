@@ -22,45 +22,53 @@ from estimation.transfer.homing_fit import lag_compensated
 from physics import inverse, laws, stretch
 from physics.calibration import Calibration, ScalarEvidence, nominal
 from physics.conversions import UNRELATED, converted, to_scalars
+from physics.force_path import KNEE_RAD
 from physics.laws import Array
 from physics.parameters import BY_CALIBRATION, PARAMETERS
+from physics.path_constants import LOAD_PER_STEP
+from physics.path_parameters import simulation_values
 
 Values = Mapping[str, float]
 
 LOWPASS_HZ: Final = 25.0
 """Zero-phase low-pass on all signals: START's noise must not turn the model's friction over."""
-LEAST_WRAP: Final = 0.05
-"""Least growth of the wrap, 1/rad, that is scaled to 1; a smaller one would make the offset exceed its bound."""
+WRAP: Final = (0.25, 1.8)
+"""Bounds of the fabric exponent's relative change, 1/rad: beyond, its offset would be outside 0.05 … 3.5 rad."""
 HELD_N: Final = 20.0
 """START tension of (11), N, to which `swing_p` refers."""
 
 
-def scalars_of(values: Values) -> dict[str, float]:
-    """Return the scalars of a calibration, each inside its bounds, from parameters of the simulation.
+LEAST_TOP_N: Final = 10.0
+"""Least top of a pull, N, that counts as homing: any homing pulls to 12 N or more."""
+SLACK_N: Final = 1.0
+"""START tension, N, at which homing begins and ends its pull."""
 
-    Of the wrap φ0 + κ·|θk| and μ2 only the products μ2·φ0 and μ2·κ act: κ is scaled to 1, as identification assumes.
+
+def scalars_of(path: Values) -> dict[str, float]:
+    """Return the scalars of a calibration, each inside its bounds, from constants of the force path.
+
+    Of the wrap φ0 + κ·|θk| and μ2 only the products μ2·φ0 and μ2·κ act: κ is 1, as identification assumes.
     """
+    values = simulation_values(path)
     known = to_scalars({**converted(UNRELATED, values), **values})
     known.pop("home_preload", None)
-    slope = known.get("wrap_slope", 0.0)
-    if slope > LEAST_WRAP:
-        known |= {"fabric_friction": known["fabric_friction"] * slope, "wrap_offset": known["wrap_offset"] / slope,
-                  "wrap_slope": 1.0}
-    known["fabric_breakaway"] = known["breakaway"]
+    wrap = min(max(path["wrap"], WRAP[0]), WRAP[1])
+    known |= {"fabric_friction": path["fabric"] * (1.0 + LOAD_PER_STEP * path["load"]) * wrap,
+              "wrap_offset": 1.0 / wrap + KNEE_RAD, "wrap_slope": 1.0, "fabric_breakaway": path["fabric_rest"],
+              "breakaway": path["cable_rest"], "start_lag": path["start_lag"], "fabric_share": path["before"]}
     bounds = {name: PARAMETERS[BY_CALIBRATION[name]].assumed for name in known}
     return {name: value if (row := bounds[name]) is None else min(max(value, row.low), row.high)
             for name, value in known.items()}
 
 
-def calibrated(trials: Sequence[Table], path: Values, sigma: Mapping[str, float]) -> Calibration:
+def calibrated(trials: Sequence[Table], start: Mapping[str, Any], sigma: Values, end_offset_n: float) -> Calibration:
     """Return the calibration of the bench of `trials`, with its discrepancy if END was measured.
 
-    `path`: parameters of the simulation as the force path was fitted.  `sigma`: 1σ of the scalars that follow from
-    it and that the trials determine.
+    `start`: scalars that follow from the fitted force path.  `sigma`: 1σ of those that the trials determine.
+    `end_offset_n`: zero of END.
     """
     inverse.prepare()
-    still = Rest(path["start_offset"], path["end_offset"], _noise(trials))
-    start: dict[str, Any] = scalars_of(path)
+    still = Rest(start["start_offset"], end_offset_n, _noise(trials))
     guess = dataclasses.replace(nominal(), **start)
     ramps = [_segment(given, "ramp") for given in trials]
     found, proof = calibration_fit.loops(ramps, guess, still)
@@ -70,9 +78,16 @@ def calibrated(trials: Sequence[Table], path: Values, sigma: Mapping[str, float]
     if all("servo_target_m" in given for given in trials):
         more["drive_bandwidth"] = calibration_fit.bandwidth(ramps).value
     found = dataclasses.replace(found, **more)
+    homings = [calibration_fit.homed(homing, found, still) for given in trials
+               if (homing := _homing(given)) is not None]
+    if homings:
+        friction, softness = np.mean(homings, axis=0).tolist()
+        found = dataclasses.replace(found, homed_friction=friction, homed_softness=softness)
     names = ", ".join(given.source.rpartition("/")[2] for given in trials)
     evidence = {name: _evidence(float(getattr(found, name)), start[name], sd, proof.get(name), names)
                 for name, sd in sigma.items()}
+    # homing replaces a lag without an interval by the one that the sensor declares
+    evidence["start_lag"] = dataclasses.replace(evidence.get("start_lag", proof["start_lag"]), trial=names)
     gaits = [_estimated(ramp._replace(kind="gait"), found, still) for ramp in ramps
              if not np.isnan(ramp.end).any()]
     beyond = discrepancy_fit.fit([*gaits, *ramps], found, still) if gaits else None
@@ -111,6 +126,28 @@ def _segment(given: Table, kind: str) -> Segment:
     desired = np.where(np.isfinite(desired), desired, np.maximum(end, 0.0))
     target = given.columns.get("servo_target_m", position)
     return Segment(kind, period_s, target, position, column("knee_angle_rad"), column("tension_start_n"), end, desired)
+
+
+def _homing(given: Table) -> Segment | None:
+    """Return the last pull and release before the gait, as the homing fit reads it; None without one."""
+    columns = [given.before.get(name) for name in (
+        "servo_target_m", "servo_position_m", "knee_angle_rad", "tension_start_n")]
+    if any(column is None or column.size == 0 for column in columns):
+        return None
+    target, position, knee, start = (np.asarray(column) for column in columns)
+    known = np.isfinite(position + knee + start)
+    target, position, knee, start = (column[known] for column in (target, position, knee, start))
+    if not start.size or float(start.max()) < LEAST_TOP_N:
+        return None
+    top = int(np.flatnonzero(start > 0.9 * start.max())[-1])
+    slack = np.flatnonzero(start < SLACK_N)
+    first, last = slack[slack < top], slack[slack > top]
+    if not first.size or not last.size:
+        return None
+    rows = slice(int(first[-1]), int(last[0]))
+    period_s = float(np.median(np.diff(given.before["time_s"])))
+    end = np.full(position[rows].size, np.nan)
+    return Segment("ramp", period_s, target[rows], position[rows], knee[rows], start[rows], end)
 
 
 def _estimated(segment: Segment, calibration: Calibration, still: Rest) -> Segment:
