@@ -48,6 +48,7 @@ hidden: $(VENV)/.installed-test
 faults: $(VENV)/.installed-test
 	$(BIN)/python -m tests.faults.run --page docs/faults.md
 	$(BIN)/python -m tests.faults.run --cover --stealth --page docs/faults.md
+	$(BIN)/python -m tests.faults.monitor_alone --drive own bought --every 6 --csv docs/monitor.csv --page docs/safety_monitor.md
 
 healthy: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.supervision --cost --healthy 500 --table docs/healthy.csv

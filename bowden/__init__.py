@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from bowden.bench.any_node import Lss, Node
     from bowden.bench.buses import BusSettings, bus, simulated
     from bowden.bench.examination import doctor
+    from bowden.mending.supervisor import MendedBench, mend
     from bowden.model_files import BenchModel, nominal
     from bowden.model_files import read as read_model
     from bowden.model_files import write as write_model
@@ -42,7 +43,8 @@ if TYPE_CHECKING:
 _HOMES = {
     "BenchModel": "bowden.model_files", "BusSettings": "bowden.bench.buses", "Diagnosis": "bowden.models.diagnosing",
     "DiagnosisResult": "bowden.models.diagnosing", "Experiment": "bowden.trials.experiment", "InputError": "parameters",
-    "Lss": "bowden.bench.any_node", "Node": "bowden.bench.any_node", "Progress": "bowden.progress",
+    "Lss": "bowden.bench.any_node", "MendedBench": "bowden.mending.supervisor", "mend": "bowden.mending.supervisor",
+    "Node": "bowden.bench.any_node", "Progress": "bowden.progress",
     "Simulation": "bowden.models.simulating", "StoppedError": "bowden.models.identification",
     "Trial": "bowden.trials.recorded_trial",
     "Verified": "bowden.trials.experiment", "WalkPlan": "bowden.trials.planning", "bus": "bowden.bench.buses",
@@ -59,9 +61,9 @@ _HOMES = {
 
 __all__ = [
     "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Discovered", "Experiment", "InputError", "Lss",
-    "Node", "Progress", "Simulation", "StoppedError", "Trial", "Verified", "WalkPlan", "bus", "compare", "discover",
-    "doctor", "export", "fit", "identify", "nominal", "plan", "read", "read_model", "record", "replay", "run",
-    "simulate", "simulated", "sweep", "testing", "verify", "write_model",
+    "MendedBench", "Node", "Progress", "Simulation", "StoppedError", "Trial", "Verified", "WalkPlan", "bus", "compare",
+    "discover", "doctor", "export", "fit", "identify", "mend", "nominal", "plan", "read", "read_model", "record",
+    "replay", "run", "simulate", "simulated", "sweep", "testing", "verify", "write_model",
 ]
 
 

@@ -9,7 +9,8 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-NAMES = ("diagnosis", "eds", "logbook", "master", "nodes", "parameters", "physics", "trial", "virtual_bus")
+NAMES = ("diagnosis", "eds", "logbook", "master", "nodes", "parameters", "physics", "safety_monitor",
+         "trial", "virtual_bus")
 """The packages beside `bowden` that an installation puts at the top level."""
 
 

@@ -204,4 +204,12 @@ class Emcy(IntEnum):
     POSITION_LIMIT = 0x8612, 0x21, "reference limit: software position limit passed"
     OVER_RANGE = 0xF001, 0x21, "process value outside the sensor's span"
     TENSION_LIMIT = 0xFF01, 0x81, "rope tension above its limit"
+    MONITOR_START = 0xFF11, 0x81, "safety monitor: START beyond its bound"
+    MONITOR_END = 0xFF12, 0x81, "safety monitor: END beyond its bound"
+    MONITOR_FORCE_RATE = 0xFF13, 0x81, "safety monitor: a tension rises faster than its bound"
+    MONITOR_ANGLE = 0xFF14, 0x81, "safety monitor: knee angle beyond its bounds, or about to be"
+    MONITOR_SPEED = 0xFF15, 0x81, "safety monitor: knee faster than its bound"
+    MONITOR_HEARTBEAT = 0xFF16, 0x81, "safety monitor: heartbeat of the master or a drive missing"
+    MONITOR_TRIAL_TIME = 0xFF17, 0x81, "safety monitor: trial longer than its bound"
+    MONITOR_OWN = 0xFF18, 0x81, "safety monitor: its own steps came late"
 

@@ -19,7 +19,7 @@ SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 FILE = re.compile(r"(?:[a-z_]+/)+[a-z0-9_]+\.py")
 DOTTED = re.compile(r"((?:[a-z_]+\.)*)([a-z_]+)\.([A-Za-z_]+)(?:\(.*\))?")
 
-ENDINGS = ("py", "md", "toml", "eds", "csv", "mcap", "html")
+ENDINGS = ("py", "md", "toml", "eds", "csv", "mcap", "html", "jsonl")
 OTHERWISE = frozenset({
     "homing", "bench", "table", "network", "departure", "files",  # tables of bench.toml and of a sweep, with their keys
     "bus", "can_bus", "sync",  # objects of an example: a bus, the testing fixture, canopen's SYNC

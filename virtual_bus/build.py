@@ -44,9 +44,11 @@ from virtual_bus.machine.machine import (
     Machines,
     MountedDrive,
     Observer,
+    SwitchedPlant,
     Tension,
     TickedDrive,
 )
+from virtual_bus.machine.monitored import EnableLine, SensedPath, monitor
 from virtual_bus.machine.plugged_plant import PluggedPlant, plant_raised
 from virtual_bus.machine.scatter import DAY, Tables, scattered, stream
 from virtual_bus.machine.truth import Truth
@@ -101,6 +103,8 @@ def build(options: Options, channel: str) -> Bench:
     for one in made:
         wire = trimmed(wire, one.nodes.servo, one.tables["servo_drive"])
     built = {node_id: nodes.build(node_id, wire) for node_id in wire.nodes}
+    line = EnableLine(options.sto_us * US)
+    guard = None if options.monitor is None else monitor(options.monitor, wire, line)
 
     def machine(bench: Bench) -> Machine | Machines:
         machines: list[Machine] = []
@@ -117,12 +121,16 @@ def build(options: Options, channel: str) -> Bench:
             bench.wire.attach(truth)
         if len(machines) == 1:
             machines[0].truth = truth
+        if guard is not None:
+            line.join(bench.kernel, [SensedPath(one.path, cast(SwitchedPlant, one.plant)) for one in made], machines)
+            bench.nodes[guard.node_id].unpowered = guard.power_off
         for each in machines:
             wired(bench.kernel, [f for f in faults if len(machines) == 1 or f.node in each.felt], each.trouble)
         return machines[0] if len(machines) == 1 else Machines(machines, truth)
 
     return Bench(
-        [device for device, _ in built.values()], channel=channel, bitrate=options.bitrate, faults=faults,
+        [*(device for device, _ in built.values()), *(() if guard is None else (guard,))],
+        channel=channel, bitrate=options.bitrate, faults=faults,
         seed=options.seed, master_turnaround_ns=options.master_turnaround_us * US,
         node_turnaround_ns=options.node_turnaround_us * US, tx_queue=options.tx_queue,
         restart_ns=options.restart_ms * MS, machine=machine,

@@ -57,6 +57,12 @@ class Options:
     hand_lag_ms: int = parameter(
         20, "ms", "lag of the hand behind the asked angle, on a bench without a knee drive", low=0, high=1000,
         source="assumed: a machine that is told the angle; an operator at a display has 100 ms and more")
+    monitor: str | None = parameter(
+        None, "", "file with the bounds of one person; a safety monitor is then on the bench, None is none",
+        source="docs/safety.md")
+    sto_us: int = parameter(5_000, "µs", "time from the opened enable line (STO) until the drives give no torque",
+                            low=0, high=100_000, source="assumed: 5 ms at most of item BL 1-04/C (its manual, "
+                            "response time); HIWIN D1-N has 6 to 10 ms, Engel HFI 20 ms")
     hand: Mapping[str, float] | None = parameter(
         None, "", "what the hand of a set-up check does: weights start_n and end_n on the load cells, or the knee "
         "at knee_rad by a goniometer", source="bowden check bench")

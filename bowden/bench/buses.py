@@ -123,7 +123,8 @@ def simulating(network: Network) -> dict[str, Any]:
     from eds.declaration import as_tables, packaged
 
     bench = network.bench.bare
-    return {"rate_hz": network.rate_hz, "declaration": None if bench == packaged() else as_tables(bench)}
+    return {"rate_hz": network.rate_hz, "declaration": None if bench == packaged() else as_tables(bench),
+            "monitor": network.monitor or None}
 
 
 @contextmanager

@@ -32,7 +32,11 @@ DEVICES: dict[str, tuple[str, str]] = {
     "end": ("eds.device_mapping", "SensorMapping"),
 }
 """Tables of devices that are not those of this project; they map the devices of these names."""
-TABLES = {**SECTIONS, **DEVICES}
+MONITOR = {"monitor": ("eds.bench.network", "Monitor")}
+"""Table of the safety monitor, which becomes part of the network."""
+TABLES = {**SECTIONS, **MONITOR, **DEVICES}
+PERSON = "person.toml"
+"""Name under which a trial has the person's file of its safety monitor."""
 ARRAYS = ("device", "joint", "force_path")
 """Arrays of tables that declare the bench; `eds.declaration` reads them."""
 
@@ -60,11 +64,35 @@ def read(path: Path | None, *, any_shape: bool = False) -> dict[str, Any]:
             raise InputError(f"{path}: {name} = {content!r} is not a table; write it as [{name}].")
     given["limits"], own = _apart(given.get("limits", {}))
     read = {name: from_table(declaration(name), given.get(name, {}), where=f"{path} [{name}]")
-            for name in TABLES if name in SECTIONS or name in given}
+            for name in TABLES if name in SECTIONS or name in MONITOR or name in given}
+    monitor = monitored(read.pop("monitor").file, path)
     mappings = {name: _beside(path, read.pop(name)) for name in DEVICES if name in read}
     bench = _bench(mappings, arrays, path, any_shape)
-    return read | {"network": dataclasses.replace(read["network"], bench=bench),
+    return read | {"network": dataclasses.replace(read["network"], bench=bench, monitor=monitor),
                    "limits": _with_own(read["limits"], own, bench, path)}
+
+
+def monitored(file: str, config: Path | None) -> str:
+    """Return the person's file of a safety monitor, relative to the configuration's folder; "packaged" is the own one.
+
+    Raises `InputError` for a file that cannot be used.
+    """
+    import safety_monitor
+
+    if not file:
+        return ""
+    beside = Path(file) if config is None else config.parent / file
+    found = safety_monitor.packaged() if file == "packaged" else beside
+    try:
+        safety_monitor.read(found)
+    except safety_monitor.PersonError as error:
+        raise InputError(f"monitor {error}") from None
+    return str(found)
+
+
+def with_monitor(network: Any, option: str | None) -> Any:
+    """Return the network with the safety monitor that `--monitor` names; None leaves that of the configuration."""
+    return network if option is None else dataclasses.replace(network, monitor=monitored(option, None))
 
 
 def _apart(limits: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -138,6 +166,7 @@ def as_text(sections: Mapping[str, Any]) -> str:
     tables = {**sections, **(bench.other_devices if same else {})}
     return "\n".join((*(f"[{name}]\n{_lines(section)}" for name, section in tables.items()),
                       *_own_lines(sections.get("limits")),
+                      *([f'[monitor]\nfile = "{PERSON}"\n'] if sections["network"].monitor else []),
                       *(() if same else _arrays(as_tables(bench)))))
 
 
@@ -179,7 +208,7 @@ def as_template(told: Mapping[str, str] | None = None, shape: str = "bench") -> 
     if shape not in SHAPES:
         raise InputError(f"--shape {shape}: expected one of {', '.join(SHAPES)}; choose the shape of the bench.")
     arrays = text_of(shape)
-    text = "\n".join((*(template(declaration(name), name) for name in SECTIONS), arrays))
+    text = "\n".join((*(template(declaration(name), name) for name in (*SECTIONS, *MONITOR)), arrays))
     for line in tomllib.loads(arrays).get("network", {}).items():
         text = text.replace("[network]\n{} = {}\n\n".format(*line), "")
         text = re.sub(rf"^{line[0]} = .*$", "{} = {}".format(*line), text, flags=re.MULTILINE)

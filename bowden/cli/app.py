@@ -28,8 +28,9 @@ app = CommandGroup(
 
 MODULES = (
     "trials.trial", "trials.replay", "models.identify", "trials.sweep", "bench.bench", "bench.commission",
-    "bench.doctor", "bench.node", "bench.bus_files", "bench.lss", "bench.monitor", "models.diagnose", "models.plan",
-    "models.discover", "models.fit",
+    "bench.doctor", "bench.node", "bench.bus_files", "bench.lss", "bench.monitor", "bench.safety_monitor",
+    "models.diagnose", "models.plan", "models.discover", "models.mend",
+    "models.fit",
     "models.simulate", "models.verify", "trials.report", "bench.live", "bench.watch", "trials.convert",
     "trials.recordings", "bench.record", "bench.setup", "bench.setup_check", "models.logbook",
 )

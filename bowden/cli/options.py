@@ -56,6 +56,8 @@ Day = Annotated[int | None, _given("Simulated bench: the day (default 0).", meta
 Seed = Annotated[int | None, _given("Simulated bench: seed of the noise (default 0).", metavar="NUMBER")]
 Plant = Annotated[str | None, typer.Option(metavar="NAME", help="Simulated bench: its plant (default bowden).")]
 PlantModel = Annotated[Path | None, _file("Simulated bench: bench model or plant tables, TOML.")]
+SafetyMonitor = Annotated[str | None, _given(
+    "Safety monitor with the bounds in this file, or packaged (default: [monitor]).", metavar="FILE")]
 Interface = Annotated[str | None, _given(
     "python-can interface of a real bus (default: the virtual bus).", metavar="NAME")]
 Channel = Annotated[str | None, _given("Channel of that interface, such as can0.", metavar="NAME")]

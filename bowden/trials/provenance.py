@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bowden.bench import safety_table
-from bowden.bench.configuration import as_text
+from bowden.bench.configuration import PERSON, as_text
 
 if TYPE_CHECKING:
     from master.motion.experiment_run import ExperimentSetup
@@ -43,9 +43,20 @@ def metadata(experiment: ExperimentSetup, script: str = "") -> dict[str, str]:
         "rate_hz": str(experiment.network.rate_hz),
         "bitrate": str(experiment.network.bitrate),
         "dry_run": str(experiment.dry_run).lower(),
+        **monitored(experiment.network.monitor),
         **{name: text for name, text in asdict(experiment.record).items() if text},
         "commit": commit(),
     }
+
+
+def monitored(file: str) -> dict[str, str]:
+    """Return the digest of the safety monitor's file and whose bounds it has; nothing without a monitor."""
+    if not file:
+        return {}
+    from safety_monitor import read
+
+    bounds = read(Path(file))
+    return {"monitor_person": bounds.person, "monitor_sha256": bounds.sha256}
 
 
 def course(experiment: ExperimentSetup) -> str:
@@ -68,6 +79,8 @@ def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[s
                 for mapping in sections["network"].bench.other_devices.values() if mapping.file}
     devices |= {Path(device.type.file).name: Path(device.type.file).read_bytes()
                 for device in sections["network"].bench.observers}
+    if sections["network"].monitor:
+        devices[PERSON] = Path(sections["network"].monitor).read_bytes()
     return {
         "bench.toml": as_text(sections).encode(),
         "calibration.toml": write(calibration).encode(),

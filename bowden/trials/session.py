@@ -233,6 +233,7 @@ def perform(
     `announce` is remarked when the bus is open, before anything is sent; each `watch` receives the records during the
     run: the live page, a diagnosis.
     """
+    from bowden.bench import monitor_program
     from bowden.pages import figures as report
     from bowden.trials import provenance
     from master.network.link import Link
@@ -247,6 +248,7 @@ def perform(
     compile_laws(simulated=simulated, progress=progress)
     planned = prepared.planned()
     with opened(prepared.chosen, network, truth=truth) as bus:
+        monitor_program.refuse_other(bus.tap, bus.clock, network.monitor)
         recorder = Recorder(output, metadata={"bus": prepared.chosen.told, **_session_of(prepared),
                                               **provenance.metadata(prepared.experiment, prepared.script),
                                               **_metadata(prepared)},

@@ -24,6 +24,8 @@ from eds.pdo_plan import Field, PdoPlan, compile_plan, overlay
 from parameters import InputError
 
 MASTER: Final = 127
+MONITOR: Final = 126
+"""Node id of the safety monitor, on a bench that has one."""
 _PAPER: Final = packaged()
 SERVO, KNEE, START, END = (_PAPER.named(name).node_id for name in ("servo", "knee", "start", "end"))
 DRIVES: Final = tuple(device.node_id for device in _PAPER.devices if device.type.taken)

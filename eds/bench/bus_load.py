@@ -18,7 +18,7 @@ from enum import Enum
 from typing import Final
 
 from eds import cia301
-from eds.bench.bench_network import MASTER, WireLayout
+from eds.bench.bench_network import MASTER, MONITOR, WireLayout
 from eds.bench.setup import fits_one_byte
 from eds.pdo_plan import PdoPlan
 from parameters import InputError
@@ -191,6 +191,14 @@ def _streams(wire: WireLayout) -> Iterator[Stream]:
     yield Stream("SDO request", cia301.SDO_REQUEST_BASE + wire.drives[0], SDO_SIZE, cycle, Kind.SDO)
     for node, name in (*((node, entry.name) for node, entry in wire.nodes.items()), (MASTER, "master")):
         yield Stream(f"heartbeat {name}", cia301.HEARTBEAT_BASE + node, 1, heartbeat, Kind.HEARTBEAT)
+    if network.monitor:
+        yield from _of_monitor()
+
+
+def _of_monitor() -> Iterator[Stream]:
+    """Yield the frames of the safety monitor in a control cycle; its digest is sent while no drive is OPERATIONAL."""
+    yield Stream("heartbeat safety monitor", cia301.HEARTBEAT_BASE + MONITOR, 1, 100_000_000, Kind.HEARTBEAT)
+    yield Stream("EMCY safety monitor", cia301.EMCY_BASE + MONITOR, EMCY_SIZE, 1_000_000_000, Kind.EMCY)
 
 
 def _numbered(plans: Sequence[PdoPlan]) -> Iterator[tuple[PdoPlan, str]]:

@@ -12,6 +12,14 @@ from parameters import apart, parameter
 
 
 @dataclass(frozen=True)
+class Monitor:
+    """The safety monitor on the bench, `[monitor]` of the configuration."""
+
+    file: str = parameter("", "", 'file with the bounds of one person; "packaged": those for 40 N; empty: no monitor',
+                          source="docs/safety.md")
+
+
+@dataclass(frozen=True)
 class Network:
     """The network's parameters, `[network]` of the configuration."""
 
@@ -38,6 +46,8 @@ class Network:
 
     bench: DeclaredBench = apart(packaged())  # noqa: RUF009 - read once, frozen
     """Devices, joints and force paths: arrays of tables of their own in the configuration."""
+    monitor: str = apart("")
+    """File with the bounds of the safety monitor on this network, `[monitor]`; empty: there is none."""
 
     @property
     def period_us(self) -> int:

@@ -12,6 +12,7 @@ from enum import Enum
 from types import MappingProxyType
 from typing import Final
 
+from eds.bench.bench_network import MONITOR
 from eds.declaration import PathNodes
 from master.cycle.inputs import END, KNEE, SERVO, START
 
@@ -88,6 +89,8 @@ def place_of(node_id: int, paths: Sequence[PathNodes]) -> int | None:
 
 
 def reaction_to(stop: StopError, paths: Sequence[PathNodes]) -> Reaction:
-    """Return the reaction of the table; an unknown node unwinds."""
+    """Return the reaction of the table; an unknown node unwinds, and the safety monitor's torque off is not opposed."""
+    if stop.node_id == MONITOR:
+        return Reaction.RELEASE_BOTH
     place = place_of(stop.node_id, paths)
     return _UNWIND if place is None else REACTIONS[stop.condition, place]

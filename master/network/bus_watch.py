@@ -15,13 +15,14 @@ from typing import Final, NamedTuple
 
 import can
 
-from eds.bench.bench_network import MASTER, WireLayout
+from eds.bench.bench_network import MASTER, MONITOR, WireLayout
 from eds.cia301 import (
     EMCY_BASE,
     HEARTBEAT_BASE,
     NMT_COB_ID,
     SDO_RESPONSE_BASE,
     SYNC_COB_ID,
+    TPDO_BASE,
     NmtCommand,
 )
 
@@ -75,6 +76,8 @@ class BusWatch:
         self._quiet = frozenset(wire.tpdo)
         self._nodes = frozenset(
             base + node for node in wire.nodes for base in (HEARTBEAT_BASE, EMCY_BASE, SDO_RESPONSE_BASE))
+        if MONITOR not in wire.nodes:
+            self._nodes |= {base + MONITOR for base in (HEARTBEAT_BASE, EMCY_BASE, TPDO_BASE)}
         self._recent: deque[int] = deque(maxlen=STREAM)
         self._doubled: deque[int] = deque(maxlen=DOUBLED)
         self._reported: set[str] = set()

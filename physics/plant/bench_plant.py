@@ -65,10 +65,11 @@ class Plant(Protocol):
 class BowdenPlant:
     """The simulated bench: `physics.plant.step` over one flat array."""
 
-    __slots__ = ("_memory", "_now_ns", "_out", "parameters")
+    __slots__ = ("_memory", "_now_ns", "_out", "enabled", "parameters")
 
     def __init__(self, parameters: PlantParameters) -> None:
         self.parameters = parameters
+        self.enabled = True
         self._memory: Array = np.zeros(SIZE)
         self._out = self._memory[SLOT.out_servo_x : SLOT.out_servo_x + len(Outputs._fields)]
         derive(self._memory, parameters)
@@ -87,9 +88,20 @@ class BowdenPlant:
             raise ValueError(f"the plant is at {self._now_ns} ns and cannot go back to {until_ns} ns")
         if not isfinite(servo_torque_nm + knee_torque_nm):
             raise ValueError(f"torque demands {servo_torque_nm} and {knee_torque_nm} N·m are not finite numbers")
+        if not self.enabled:
+            servo_torque_nm = knee_torque_nm = 0.0
         self._now_ns += steps * STEP_NS
         step.advance(self._memory, steps, servo_torque_nm, knee_torque_nm)
         return Outputs._make(self._out.tolist())
+
+    def enable(self, closed: bool) -> None:
+        """Close or open the enable line (STO) of both stages: open, they give no torque, whatever is demanded."""
+        self.enabled = closed
+
+    def second_sensors(self) -> tuple[float, float, float]:
+        """Return the readings of a second set of sensors: tension at START and END, N, and the leg's angle, rad."""
+        memory = self._memory
+        return float(memory[SLOT.tension]), float(memory[SLOT.tension + NODES]), float(memory[SLOT.leg_q])
 
     def extend(self, terms: Sequence[Term], where: str) -> None:
         """Let parameters follow `terms`; raises `InputError`, which names `where`, for one that a plant cannot follow.

@@ -13,17 +13,23 @@ from dataclasses import replace
 
 from eds.declaration import SHAPES
 from tests.faults import argument
+from tests.faults.rows import UNLIMITED
 from tests.faults.stage import OF_GAIT, OF_MOTION, Row, Walk
 
 CONTROLLERS, PERIODS = ("paper", "extended", "none", "friction", "impedance"), (1.1, 2.0, 3.0)
 GAITS = tuple(Walk(period_s, controller, 1, shape=SHAPES[(place + 2 * other) % len(SHAPES)])
               for place, controller in enumerate(CONTROLLERS) for other, period_s in enumerate(PERIODS))
 """Gaits of the sample: every controller with every period, every bench with three controllers and every period."""
+EVERY_GAIT = tuple(Walk(period_s, controller, 1, shape=shape)
+                   for controller in CONTROLLERS for period_s in PERIODS for shape in SHAPES)
 MOTIONS = (*(Walk(motion=motion, shape=shape) for motion in ("home", "jog") for shape in ("bench", "bench_start_only")),
            *(Walk(motion="identify", shape=shape) for shape in ("bench", "bench_two_legs")))
 """Other motions; `home` and `jog` run one force path with a driven knee."""
 ON_ONE_BENCH = (argument.FOREIGN, argument.TARGETS, argument.ALTERED, argument.OTHER_BENCH)
 """Actions whose rows name frames of the paper's bench."""
+DRAGGED = "a leg that falls pulls the antagonist's rope off a drum without torque, which drags"
+ENABLING = {"servo stage reversed": UNLIMITED}
+"""Rows that cannot keep the bounds while drives are enabled, and why."""
 STEP = 7
 """Step of the rotation from fault to fault: without a common divisor with the number of gaits."""
 
@@ -46,7 +52,7 @@ def sample(rows: Sequence[Row], *, whole: bool = False, motions: bool = True) ->
     """
     found: dict[Walk, list[Row]] = {}
     for place, row in enumerate(row for row in rows if row.moments != ("start",)):
-        kinds = [(GAITS, OF_GAIT)] + [(MOTIONS, OF_MOTION)] * motions
+        kinds = [(EVERY_GAIT if whole else GAITS, OF_GAIT)] + [(MOTIONS, OF_MOTION)] * motions
         for walks, moments in kinds:
             fit = [walk for walk in walks if applies(row, walk)]
             turns: dict[Walk, list[str]] = {}
@@ -55,8 +61,12 @@ def sample(rows: Sequence[Row], *, whole: bool = False, motions: bool = True) ->
                     turns.setdefault(walk, []).append(moment)
             for walk, at in turns.items():
                 errors = tuple(name for name in row.named if name.startswith("program failed"))
-                found.setdefault(walk, []).append(
-                    replace(row, moments=tuple(at), walks=(walk,), named=errors, quiet=True))
+                mine = replace(row, moments=tuple(at), walks=(walk,), named=errors, quiet=True)
+                if walk.motion != "gait" and row.name in ENABLING:
+                    mine = replace(mine, unstoppable=ENABLING[row.name], excused=())
+                elif walk.shape == "bench_antagonists" and not row.unstoppable:
+                    mine = replace(mine, unstoppable=DRAGGED, excused=("slack_ms",))
+                found.setdefault(walk, []).append(mine)
     return found
 
 

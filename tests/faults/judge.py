@@ -98,7 +98,8 @@ def judged(row: Row, told: Told, twin: Told, walk: Walk = WALK) -> Verdict:
     stop_ns = next((t for t, kind, _s, _x in told.events if kind == "safety" and t >= told.fault_ns), -1)
     peaks = [max((float(true[:, at].max(initial=0.0)) for true in after), default=0.0) for at in (1, 2)]
     until_ns = detected_ns if detected_ns >= 0 else told.last_ns
-    apart, unsaid, exposed = _unsaid(told, twin, until_ns)
+    # homing and its kin pull until a tension is reached, whenever that is: the twin's END at that time is no bound
+    apart, unsaid, exposed = _unsaid(told, twin, until_ns) if walk.motion == "gait" else (0.0, 0.0, 0.0)
     leg, leg_ms = _leg(told, twin, until_ns)
     named = name_of(said) in row.named if said else False
     verdict = Verdict(

@@ -46,6 +46,8 @@ class Breakable(BowdenPlant):
         """As the bench's own plant, with what a row has broken."""
         if self.stage is not None:
             servo_torque_nm, knee_torque_nm = self.stage(until_ns, servo_torque_nm, knee_torque_nm)
+        if not self.enabled:
+            servo_torque_nm = knee_torque_nm = 0.0
         felt = super().advance(until_ns, servo_torque_nm, knee_torque_nm)
         if until_ns % 1_000_000 == 0 and (not self.true or self.true[-1][0] < until_ns):
             m = self._memory

@@ -199,7 +199,6 @@ def of(action: argument.UnsafeAction, *rows: Row) -> tuple[Row, ...]:
 
 SET_UP = "it is there in homing and in every gait cycle alike; a set-up check against a known weight or angle shows it"
 CONDUCTS = "the stage conducts by itself: the wired emergency stop alone ends that"
-ROTOR = "the rotor still winds in when the fault is shown, and its momentum adds to what END had then"
 UNSTABLE = "a reversed stage makes the drive's loop unstable: the leg has its speed before two cycles show it"
 UNLIMITED = "a reversed stage has all of the drive's torque while it is enabled: its torque limit (0x6072) bounds it"
 BUSY = "the bus is taken: the drives act by the watchdog of the master's heartbeat alone, after 250 ms"
@@ -209,9 +208,9 @@ ROWS: tuple[Row, ...] = (
         argument.LYING_TENSION,
         Row("START stuck at 0", sensed(start_n=lambda value, t: 0.0), (names.START_ALONE, names.START_OR_PATH)),
         Row("START stuck at its value", frozen("start_n"), (names.START_ALONE, names.START_OR_PATH),
-            unstoppable=ROTOR),
-        Row("START × 0.5", sensed(start_n=GAIN(0.5)), (names.START_ALONE,)),
-        Row("START × 2", sensed(start_n=GAIN(2.0)), (names.START_ALONE, names.START_OR_PATH)),
+            unstoppable=slow.ROTOR, excused=("stop_end_n",)),
+        Row("START × 0.5", sensed(start_n=GAIN(0.5)), (names.START_ALONE, names.START_OR_PATH)),
+        Row("START × 2", sensed(start_n=GAIN(2.0)), (names.START_ALONE, names.START_OR_PATH, names.BETWEEN)),
         Row("START × −1", sensed(start_n=GAIN(-1.0)), (names.emergency("start", 0xF001), names.START_OR_PATH)),
         Row("START + 15 N", sensed(start_n=OFFSET(15.0)), (names.START_OR_PATH, names.BETWEEN)),
         Row("START − 15 N", sensed(start_n=OFFSET(-15.0)), (names.START_ALONE, names.BETWEEN, names.TORQUE_OR_START)),
@@ -258,7 +257,8 @@ ROWS: tuple[Row, ...] = (
     ),
     *of(
         argument.LYING_ROPE,
-        Row("servo encoder frozen", frozen("servo_position_m"), (names.SERVO_OFF,)),
+        Row("servo encoder frozen", frozen("servo_position_m"), (names.SERVO_OFF,), unstoppable=slow.ROTOR,
+            excused=("stop_end_n",)),
         Row("servo encoder + 5 mm", sensed(servo_position_m=OFFSET(5e-3)), (names.emergency("servo", 0x7305),)),
         Row("servo encoder − 5 mm", sensed(servo_position_m=OFFSET(-5e-3)), (names.emergency("servo", 0x7305),)),
         Row("servo encoder creeps by 10 mm/s", sensed(servo_position_m=lambda value, t: value - 0.010 * t),
@@ -341,7 +341,7 @@ ROWS: tuple[Row, ...] = (
         Row("SYNC late by 2 ms", wire("late_sync", delay_us=2000.0), (), ("peak",),
             silent="every cycle is as late as the other: the drives hold their last targets, nothing moves"),
         Row("targets lost", wire("drop", cob_id=0x201),
-            ("motion not as commanded: targets that do not reach the drives, or both drives",)),
+            ("motion not as commanded: targets that do not reach the drives, or both drives", names.KNEE_OFF)),
         Row("targets corrupt", wire("corrupt", cob_id=0x201), (names.emergency("servo", 0x8612),), ("ramp", "peak")),
         Row("targets shortened", wire("shorten", 0.003, cob_id=0x201, size=3), (names.emergency("servo", 0x8210),)),
         Row("targets late by 3 ms", wire("delay", cob_id=0x201, delay_us=3000.0), (), ("ramp",),
@@ -389,8 +389,7 @@ ROWS: tuple[Row, ...] = (
             ("an SDO read of 1000:00 to servo from somebody else",),
             ("peak",), event=True),
         Row("a second START", repeated(MS, 0x183, lambda n: struct.pack("<h", 1000)),
-            (names.foreign("the inputs of start"),),
-            ("peak", "idle")),
+            (names.foreign("the inputs of start"), names.START_OR_PATH), ("peak", "idle")),
         Row("a second servo's PDO", repeated(MS, 0x181, lambda n: bytes(8)), ("drive left OPERATION ENABLED: servo",),
             ("peak",)),
         Row("unknown identifier, once", said(0x123, b"abc"), ("identifier 123h",), ("peak",), event=True),
@@ -444,10 +443,12 @@ ROWS: tuple[Row, ...] = (
             experiment=calibrated(swing_k=2.0)),
         Row("calibration: swing × 0.5", nothing, ("refused: calibration wrong.toml: its swing_k",), ("start",),
             experiment=calibrated(swing_k=0.5)),
-        Row("START × 0.5 from power-on", sensed(start_n=GAIN(0.5)), (names.TORQUE_OR_START,), ("start",)),
+        Row("START × 0.5 from power-on", sensed(start_n=GAIN(0.5)), (names.TORQUE_OR_START,), ("start",),
+            unstoppable=slow.ROTOR, excused=("stop_end_n",)),
         Row("END × 0.4 from power-on", sensed(end_n=GAIN(0.4)), ("refused: homing: pulled and released, START",),
             ("start",)),
-        Row("servo stage dead from power-on", staged(plants.dead), (names.SERVO_OFF,), ("start",)),
+        Row("servo stage dead from power-on", staged(plants.dead), (names.SERVO_OFF, names.TORQUE_OR_START),
+            ("start",)),
         Row("servo stage reversed from power-on", staged(plants.reversed_servo), ("motion not as commanded: servo",),
             ("start",), unstoppable=UNLIMITED),
         Row("knee stage reversed from power-on", staged(plants.knee_reversed), (names.KNEE_OFF,), ("start",),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from eds.bench.bench_network import Network, wire
+from eds.bench.bench_network import MONITOR, Network, wire
 from master.cycle.inputs import END, KNEE, SERVO, START
 from master.cycle.safety import REACTIONS, Condition, Reaction, StopError, reaction_to
 
@@ -33,3 +33,8 @@ def test_a_node_that_is_not_of_the_bench_unwinds() -> None:
 
 def test_the_text_says_what_and_how_much() -> None:
     assert str(StopError(Condition.END_LIMIT, "95.1 N of 90 N", END)) == "END tension above its limit: 95.1 N of 90 N"
+
+
+def test_the_master_opposes_no_torque_off_of_the_safety_monitor() -> None:
+    paths = wire(Network()).paths
+    assert reaction_to(StopError(Condition.EMERGENCY, "END beyond its bound", MONITOR), paths) is Reaction.RELEASE_BOTH

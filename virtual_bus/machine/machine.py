@@ -97,6 +97,17 @@ class MachineState(NamedTuple):
 BRIDGES = {"broken_wire": (0, 1), "overload": ((1 << 23) - 1, 0)}
 """Fault of a sensor's bridge → the converter's counts and status (bit 0: broken wire)."""
 
+
+class SwitchedPlant(Plant, Protocol):
+    """Protocol of a plant with an enable line and a second set of sensors; `BowdenPlant` and `PluggedPlant` have it."""
+
+    def enable(self, closed: bool) -> None:
+        """Close or open the enable line (STO) of both stages."""
+
+    def second_sensors(self) -> tuple[float, float, float]:
+        """Return tension at START and END, N, and the joint's angle, rad, by sensors that no device has."""
+
+
 START_FEELS = Outputs._fields.index("start_n")
 END_FEELS = Outputs._fields.index("end_n")
 assert END_FEELS == START_FEELS + 1
@@ -144,6 +155,14 @@ class Machine:
         drive.emergency_stop(there, self._kernel.now_ns)
         if station.on:
             station.settle(self._kernel.now_ns)
+
+    def enable(self, closed: bool) -> None:
+        """Close or open the enable line (STO) of every drive: open, there is no torque, and the drives report it."""
+        cast(SwitchedPlant, self.plant).enable(closed)
+        for station, drive in self.axes:
+            drive.emergency_stop(not closed, self._kernel.now_ns)
+            if station.on:
+                station.settle(self._kernel.now_ns)
 
     @property
     def steady(self) -> bool:

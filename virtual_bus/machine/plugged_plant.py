@@ -18,6 +18,7 @@ class PluggedPlant:
         self._name, self._plant = name, plant
         self._held: Outputs | None = None
         self._failed = False
+        self._enabled = True
 
     def reset(self, time_ns: int) -> Outputs:
         """Return to the state at power-on; raises `InputError` if the plug-in raises."""
@@ -31,12 +32,36 @@ class PluggedPlant:
         """Return the outputs at `until_ns`; raises `InputError` once if the plug-in raises, and holds them then."""
         if self._failed and self._held is not None:
             return self._held
+        if not self._enabled:
+            servo_torque_nm = knee_torque_nm = 0.0
         try:
             self._held = self._plant.advance(until_ns, servo_torque_nm, knee_torque_nm)
         except Exception as error:  # a plug-in may raise anything
             self._failed = True
             raise plant_raised(self._name, error, f"at {until_ns / 1e9:.6g} s") from None
         return self._held
+
+    def enable(self, closed: bool) -> None:
+        """Close or open the enable line (STO): open, the plug-in receives no torque, and is informed if it can be."""
+        self._enabled = closed
+        inform = getattr(self._plant, "enable", None)
+        if inform is not None:
+            inform(closed)
+
+    def second_sensors(self) -> tuple[float, float, float]:
+        """Return the plug-in's second set of sensors, see `BowdenPlant`; without one, its true tensions and leg.
+
+        Raises `InputError` if the plug-in has neither.
+        """
+        measure = getattr(self._plant, "second_sensors", None)
+        if measure is not None:
+            start_n, end_n, knee_rad = measure()
+            return float(start_n), float(end_n), float(knee_rad)
+        true = self._plant.truth()
+        if self._held is None or not {"true_start_n", "true_end_n"} <= set(true):
+            raise InputError(f"plant {self._name!r}: has neither second_sensors() nor true_start_n and true_end_n in "
+                             "truth(), one of which a safety monitor measures with; see docs/plants.md.")
+        return float(true["true_start_n"]), float(true["true_end_n"]), self._held.knee_angle_rad
 
     def truth(self) -> Mapping[str, float]:
         """Return the plug-in's true signals."""

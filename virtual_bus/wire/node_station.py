@@ -7,6 +7,7 @@ time, and it is woken at the time that it requested.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Protocol
 
 from eds.cia301 import Frame
@@ -58,6 +59,8 @@ class NodeStation(Station):
         self.turnaround_ns = turnaround_ns
         self.due_ns = NEVER
         self.on = False
+        self.unpowered: Callable[[], None] = lambda: None
+        """Called when the supply goes: outputs of the device that fall back without it."""
 
     def receive(self, frame: Frame, now_ns: int) -> None:
         """Pass a frame to the device and its answers to the wire."""
@@ -121,4 +124,5 @@ class NodeStation(Station):
             self.settle(now_ns)
         else:
             self.due_ns = NEVER
+            self.unpowered()
             self.device.outbox.clear()

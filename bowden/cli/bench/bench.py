@@ -34,6 +34,7 @@ def bench(
     bitrate: options.Bitrate = None,
     option: options.Extra = None,
     faults: Faults = None,
+    monitor: options.SafetyMonitor = None,
     seconds: Seconds = None,
     json: options.Json = False,
 ) -> int:
@@ -55,7 +56,7 @@ def bench(
     chosen = Bus(interface, channel, bitrate, option).chosen()
     arguments = Bus().chosen(simulated).arguments
     injected = () if faults is None else servable(faults)
-    network = configuration.read(config)["network"]
+    network = configuration.with_monitor(configuration.read(config)["network"], monitor)
     session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not json))
     ended = False
 

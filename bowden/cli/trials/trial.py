@@ -39,6 +39,7 @@ def trial(
     simulated: SimulatedOptions,
     reached: Bus,
     config: options.Config = None,
+    monitor: options.SafetyMonitor = None,
     picture: options.Picture = None,
     web: Web = None,
     logbook: options.Logbook = None,
@@ -64,6 +65,7 @@ def trial(
     inputs = [knee, desired, calibration, controller_model, config, simulated.plant_model]
     output_files.refuse([output, picture], overwrite=overwrite, inputs=inputs)
     sections = reached.sections(config, rate)
+    sections["network"] = configuration.with_monitor(sections["network"], monitor)
     setup_checks.refuse_unchecked(sections, calibration)
     sections["homing"] = configuration.homing(sections["homing"], homing_n)
     entered = session.entered(sections, logbook, config)

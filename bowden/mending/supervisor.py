@@ -1,0 +1,271 @@
+"""Steps of an unattended repair, from reference trials to an extension that has gained in the loop.
+
+    gait → diagnosis → (experiment → diagnosis)… → extension or law → trials A B A B … → kept or undone
+
+A: the bench's calibration alone, B: with the extension.  Only END as its sensor reads it decides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from scipy.stats import t as student
+
+from bowden import model_files
+from bowden.bench import buses
+from bowden.bench.buses import BusSettings
+from bowden.mending.journal import Journal
+from bowden.model_files import BenchModel
+from bowden.models.diagnosing import Diagnosis, DiagnosisResult
+from bowden.models.discovering import discover
+from bowden.models.experiment_plan import of_trials
+from bowden.progress import SILENT, Progress
+from bowden.trials.experiment import GAIT, Experiment, run
+from bowden.trials.recorded_trial import Trial
+from parameters import InputError
+from parameters.files import write_whole
+
+PAIRS: Final = 4
+"""Pairs of trials without and with the extension: the fewest whose interval of a gain excludes 0 at 2 σ of scatter."""
+STOPS: Final = 2
+"""Number of stopped trials at which the run ends: one may be chance, two are the bench."""
+EXPERIMENTS: Final = 2
+"""Largest number of experiments that are run to decide between effects."""
+JOURNAL, EXTENDED, PAGE = "journal.jsonl", "extended.toml", "mend.html"
+FIGURE: Final = "relative_rmse_percent"
+"""Figure that decides: END as its sensor reads it, since a run sees no true signal."""
+INTERRUPTED: Final = "interrupted"
+"""Beginning of the stop reason of a trial that the operator stopped."""
+
+
+@dataclass(frozen=True)
+class MendedBench:
+    """Outcome of a run: `ending` in words; `kept` if the extension gained; the extension's `equations` and names.
+
+    `before`, `after`: END's relative RMSE, %, of the trials A and B.  `gain`: mean of their differences, in points of
+    percent, with its 95 % `interval`.  `folder` has the trials, the journal, the extension and the page.
+    """
+
+    ending: str
+    folder: Path
+    verdict: str = ""
+    names: Sequence[str] = ()
+    equations: Sequence[str] = ()
+    before: Sequence[float] = ()
+    after: Sequence[float] = ()
+    kept: bool = False
+    steps: Sequence[dict[str, Any]] = field(default_factory=tuple)
+
+    @property
+    def gain(self) -> float | None:
+        """Mean fall of END's relative RMSE, points of percent; None without trials."""
+        return float(np.mean(np.subtract(self.before, self.after))) if self.before else None
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """95 % interval of the mean fall, by Student's t over the pairs; None with fewer than two."""
+        return paired_interval(self.before, self.after) if len(self.before) > 1 else None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the object that `bowden mend --json` prints."""
+        return {"ending": self.ending, "verdict": self.verdict, "names": list(self.names),
+                "equations": list(self.equations), "before_percent": list(self.before),
+                "after_percent": list(self.after), "gain_points": self.gain,
+                "interval": None if self.interval is None else list(self.interval), "kept": self.kept,
+                "folder": str(self.folder)}
+
+
+def paired_interval(before: Sequence[float], after: Sequence[float]) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of `before` less `after`, by Student's t over the pairs."""
+    fall = np.subtract(before, after)
+    half = float(student.ppf(0.975, fall.size - 1) * fall.std(ddof=1) / math.sqrt(fall.size))
+    return float(fall.mean()) - half, float(fall.mean()) + half
+
+
+class _EndedError(Exception):
+    """The run ends here; the text says why."""
+
+
+def mend(reference: Sequence[str | Path], folder: str | Path, *, bus: BusSettings | None = None, hours: float = 1.0,
+         cycles: int = 10, resume: bool = False, progress: Progress = SILENT) -> MendedBench:
+    """Repair the model of a bench without anybody, within `hours` of bench time; returns the outcome.
+
+    `reference`: trials of the bench in the reference condition, recorded by `bowden trial`; their peak force is the
+    greatest that is asked for.  `folder`: where trials and journal go.  `resume`: go on with the journal there.  Every
+    trial has all limits and the safe stop.  Raises `InputError` for unusable input.
+    """
+    return _Run([Path(path) for path in reference], Path(folder), bus or buses.simulated(), hours, cycles, resume,
+                progress).run()
+
+
+class _Run:
+    def __init__(self, reference: Sequence[Path], folder: Path, bus: BusSettings, hours: float, cycles: int,
+                 resume: bool, progress: Progress) -> None:
+        self.reference, self.folder, self.bus, self.progress = reference, folder, bus, progress
+        trials = [_recorded(path) for path in reference]
+        self.plain = _calibration(trials[0])
+        gaits = [trial for trial in trials if trial.metadata.get("experiment", GAIT) == GAIT]
+        if not gaits:
+            raise InputError("mend: no reference trial is a gait; record one with bowden trial.")
+        walked = max(gaits, key=lambda trial: float(trial.metadata["peak_n"]))
+        self.gait = Experiment(peak_n=float(walked.metadata["peak_n"]), period_s=float(walked.metadata["period_s"]),
+                               cycles=cycles, controller=walked.metadata["controller"])
+        self.budget_s, self.used_s, self.stops = 3600.0 * hours, 0.0, 0
+        folder.mkdir(parents=True, exist_ok=True)
+        self.journal = Journal(folder / JOURNAL, {
+            "reference": [str(path.resolve()) for path in reference], "hours": hours, "cycles": cycles}, resume=resume)
+
+    def run(self) -> MendedBench:
+        """Run all steps, and write page and extension, however the run ends."""
+        result = MendedBench("", self.folder)
+        try:
+            result = self._repaired()
+        except _EndedError as ended:
+            result = replace(result, ending=str(ended))
+        except KeyboardInterrupt:
+            result = replace(result, ending="interrupted; go on with --resume")
+        result = replace(result, steps=tuple(self.journal.lines))
+        from bowden.mending import mend_page
+
+        mend_page.write(result, self.folder / PAGE)
+        return result
+
+    def _repaired(self) -> MendedBench:
+        trials = [self._trial("gait", self.gait)]
+        finder = Diagnosis(self.plain).fit(self.reference)
+        found = self._diagnosed("diagnosis", finder, trials)
+        tried: set[str] = set()
+        while found.verdict in ("ambiguous", "unexplained") and len(tried) < EXPERIMENTS:
+            name = self._proposed(found, trials, tried)
+            if name is None:
+                break
+            tried.add(name)
+            trials.append(self._trial(name, replace(self.gait, name=name, cycles=None)))
+            found = self._diagnosed(f"diagnosis with {name}", finder, trials)
+        return self._proven(found, trials)
+
+    def _proposed(self, found: DiagnosisResult, trials: Sequence[Path], tried: set[str]) -> str | None:
+        """Return the experiment that is most likely to decide, None if none is; a law is sought then."""
+        if found.verdict != "ambiguous":
+            return None
+
+        def plan() -> dict[str, Any]:
+            proposed = of_trials(list(trials), list(self.reference)).proposed
+            return {"experiment": None if proposed is None else proposed.name}
+
+        name = self.journal.step(f"plan {len(tried) + 1}", plan)["experiment"]
+        return None if name in tried else name
+
+    def _proven(self, found: DiagnosisResult, trials: Sequence[Path]) -> MendedBench:
+        """Extend the model by what was found, or by a law, and return the outcome of trials without and with it."""
+        names = [cause["effect"] for cause in found.causes]
+        outcome = MendedBench("", self.folder, found.verdict, names)
+        if found.verdict == "refused":
+            raise _EndedError(f"the trials were refused: {found.warnings[0]}")
+        extended = found.model if names else None
+        equations: list[str] = []
+        if found.verdict == "unexplained":
+            extended, equations = self._law(trials)
+        if extended is None:
+            return replace(outcome, ending="nothing to mend: no cause is named and no law was found")
+        outcome = replace(outcome, equations=equations)
+        write_whole(self.folder / EXTENDED, extended.text(), overwrite=True)
+        before, after = list[float](), list[float]()
+        controlled = replace(self.gait, controller="extended")
+        try:
+            for pair in range(1, PAIRS + 1):
+                before.append(self._figure(f"{pair}-A", replace(controlled, model=self.plain)))
+                after.append(self._figure(f"{pair}-B", replace(controlled, model=extended)))
+        except _EndedError as ended:
+            return replace(outcome, ending=str(ended), before=before[:len(after)], after=after)
+        kept = paired_interval(before, after)[0] > 0.0
+        if not kept:
+            (self.folder / EXTENDED).unlink()
+        ending = "mended: the extension gains in the loop" if kept else (
+            "undone: the extension does not gain in the loop")
+        return replace(outcome, ending=ending, before=before, after=after, kept=kept)
+
+    def _law(self, trials: Sequence[Path]) -> tuple[BenchModel | None, list[str]]:
+        def search() -> dict[str, Any]:
+            found = discover(trials[:1], self.reference)
+            text = found.model.text() if found.terms else ""
+            return {"equations": [term.equation for term in found.terms], "text": text}
+
+        result = self.journal.step("law", search)
+        if not result["equations"]:
+            return None, []
+        return model_files.extended(self.plain or model_files.nominal(), result["text"]), result["equations"]
+
+    def _diagnosed(self, step: str, finder: Diagnosis, trials: Sequence[Path]) -> DiagnosisResult:
+        """Diagnose the trials together; the journal keeps the answer for the page, the files give it again."""
+        found = finder.diagnose(trials)
+        self.journal.step(step, lambda: {"verdict": found.verdict, "class": list(found.rivals),
+                                         "causes": [cause["effect"] for cause in found.causes],
+                                         "warnings": list(found.warnings)})
+        return found
+
+    def _trial(self, step: str, experiment: Experiment) -> Path:
+        """Record a trial, if the journal has none, and return its file; end the run by time and by stopped trials."""
+        path = self.folder / f"{step}.mcap"
+
+        def record() -> dict[str, Any]:
+            trial = run(experiment, bus=self._bus(), output=path, overwrite=True, progress=self.progress)
+            if (trial.figures.get("stop_reason") or "").startswith(INTERRUPTED):
+                raise KeyboardInterrupt  # not in the journal: the trial is recorded again when the run goes on
+            seconds = 1e-9 * float(trial.time_ns[-1] - trial.time_ns[0]) if len(trial) else 0.0
+            return {"file": path.name, "seconds": seconds, "outcome": trial.outcome or "",
+                    "stop_reason": trial.figures.get("stop_reason"), "percent": trial.figures.get(FIGURE)}
+
+        if self.used_s > self.budget_s:
+            raise _EndedError(f"time is up: {self.used_s:.0f} s of the bench were used")
+        result = self.journal.step(step, record)
+        self.used_s += result["seconds"]
+        if result["outcome"] != "completed":
+            self.stops += 1
+            if self.stops >= STOPS:
+                raise _EndedError(f"{self.stops} trials were stopped, the last one: {result['stop_reason']}")
+        return path
+
+    def _bus(self) -> BusSettings:
+        """Return the bus; the noise of a simulated bench is new in each trial, as on a real one."""
+        if "seed" not in self.bus.arguments:
+            return self.bus
+        seed = int(self.bus.arguments["seed"]) + len(self.journal.lines)
+        return replace(self.bus, arguments={**self.bus.arguments, "seed": seed})
+
+    def _figure(self, step: str, experiment: Experiment) -> float:
+        """Return END's relative RMSE, %, of a trial; a stopped one is repeated once."""
+        for name in (step, f"{step} again"):
+            self._trial(name, experiment)
+            result = next(line["result"] for line in self.journal.lines if line["step"] == name)
+            if result["outcome"] == "completed" and result["percent"] is not None:
+                return float(result["percent"])
+        raise _EndedError(f"{step}: END was not measured in two trials")
+
+
+def _recorded(path: Path) -> Trial:
+    if path.suffix.lower() != ".mcap":
+        raise InputError(f"{path}: a reference trial of mend is one of bowden trial, .mcap; give one.")
+    trial = Trial(path)
+    missing = [name for name in ("peak_n", "period_s", "controller") if name not in trial.metadata]
+    if missing:
+        raise InputError(f"{path}: has no {', '.join(missing)}; give a trial that bowden trial recorded.")
+    return trial
+
+
+def _calibration(trial: Trial) -> BenchModel | None:
+    """Return the calibration that a reference trial ran on; None for the packaged nominal one."""
+    import tomllib
+
+    from estimation.data.table import NOMINAL
+    from physics import bench_model
+
+    text = trial.attachments.get("calibration.toml")
+    if text is None or trial.metadata.get("calibration") == NOMINAL:
+        return None
+    return bench_model.from_tables(tomllib.loads(bytes(text).decode("utf-8")), f"{trial.path}: calibration.toml")

@@ -1,0 +1,179 @@
+"""The checks of the safety monitor: a table of absolute bounds, and the pure step that holds its inputs against them.
+
+Each row of `CHECKS` is one bound. A value that is no number is beyond every bound. The first row that is broken opens
+the enable line; no input closes it again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Final, NamedTuple
+
+from eds.cia301 import HEARTBEAT_BASE, Emcy, Frame, NmtState
+from safety_monitor.person import Bounds
+
+MS: Final = 1_000_000
+STEP_NS: Final = 1 * MS
+"""Time between two steps. Longer: a stage that conducts pulls for longer before it is noticed."""
+WINDOW: Final = 3
+"""Steps over which force rate and knee speed are taken. Fewer: the quantisation of the sensors counts as speed
+(0.022 degrees in 3 ms are 7 degrees/s). More: a stage that conducts is noticed later."""
+LOOK_AHEAD_S: Final = 0.03
+"""Time by which the knee's angle is extrapolated at its speed, s: six times the STO delay that is assumed. Shorter:
+the leg is faster where it meets its end stop. Longer: a gait that nears the end of its range trips."""
+LATE_NS: Final = 20 * MS
+"""Time between two steps from which on the monitor's own computer counts as stopped."""
+
+
+class PathInputs(NamedTuple):
+    """The monitor's own sensors at one force path: tension at START and END, N, and the joint's angle, degrees."""
+
+    start_n: float
+    end_n: float
+    knee_deg: float
+
+
+class Heard(NamedTuple):
+    """The last heartbeat of a node: its time, and the NMT state in it."""
+
+    node: int
+    time_ns: int
+    state: int
+
+
+class MonitorState(NamedTuple):
+    """Memory of the monitor between two steps; the default is that at power-on.
+
+    `history` has the inputs of the last `WINDOW` steps, oldest first. `cause` is None while the line is closed.
+    `working_ns` is the time since which a drive is OPERATIONAL, -1 if none is.
+    """
+
+    time_ns: int = -1
+    history: tuple[tuple[PathInputs, ...], ...] = ()
+    heard: tuple[Heard, ...] = ()
+    working_ns: int = -1
+    cause: Emcy | None = None
+    text: str = ""
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the enable line is closed, so that the drives may give torque."""
+        return self.cause is None
+
+
+class Present(NamedTuple):
+    """One step as the checks see it: the state before it, its time, the paths now and `WINDOW` steps ago."""
+
+    state: MonitorState
+    time_ns: int
+    paths: tuple[PathInputs, ...]
+    before: tuple[PathInputs, ...]
+    watched: tuple[int, ...]
+
+    @property
+    def window_s(self) -> float:
+        """Time over which rates are taken, s."""
+        return max(1, len(self.state.history)) * STEP_NS * 1e-9
+
+    def speeds(self) -> tuple[float, ...]:
+        """Return the speed of each path's joint, degrees/s."""
+        return tuple((now.knee_deg - was.knee_deg) / self.window_s
+                     for now, was in zip(self.paths, self.before, strict=True))
+
+
+class Check(NamedTuple):
+    """One bound: its name, the EMCY code that reports it, and the function that describes a breach ("" if none)."""
+
+    name: str
+    code: Emcy
+    breach: Callable[[Present, Bounds], str]
+
+
+def _above(what: str, values: Iterable[float], bound: float, unit: str) -> str:
+    """Return the sentence of the first value that is not at most `bound`; no number is not."""
+    return next((f"{what} {value:.4g} {unit}, bound {bound:g} {unit}" for value in values if not value <= bound), "")
+
+
+def _start(present: Present, bounds: Bounds) -> str:
+    return _above("START", (abs(path.start_n) for path in present.paths), bounds.start_n, "N")
+
+
+def _end(present: Present, bounds: Bounds) -> str:
+    return _above("END", (abs(path.end_n) for path in present.paths), bounds.end_n, "N")
+
+
+def _force_rate(present: Present, bounds: Bounds) -> str:
+    rises = ((now[place] - was[place]) / present.window_s
+             for now, was in zip(present.paths, present.before, strict=True) for place in (0, 1))
+    return _above("a tension rises at", rises, bounds.force_rate_n_s, "N/s")
+
+
+def _angle(present: Present, bounds: Bounds) -> str:
+    for path, speed in zip(present.paths, present.speeds(), strict=True):
+        ahead = path.knee_deg + speed * LOOK_AHEAD_S
+        if not (bounds.knee_low_deg <= min(path.knee_deg, ahead) and max(path.knee_deg, ahead) <= bounds.knee_high_deg):
+            return (f"knee {path.knee_deg:.4g} degrees at {speed:.4g} degrees/s, bounds {bounds.knee_low_deg:g} and "
+                    f"{bounds.knee_high_deg:g} degrees")
+    return ""
+
+
+def _speed(present: Present, bounds: Bounds) -> str:
+    return _above("knee speed", map(abs, present.speeds()), bounds.knee_deg_s, "degrees/s")
+
+
+def _heartbeats(present: Present, bounds: Bounds) -> str:
+    if present.state.working_ns < 0:
+        return ""
+    last = {heard.node: heard.time_ns for heard in present.state.heard}
+    ages = (((present.time_ns - last.get(node, present.state.working_ns)) / MS, node) for node in present.watched)
+    return next((f"heartbeat of node {node} {age:.0f} ms old, bound {bounds.heartbeat_ms:g} ms"
+                 for age, node in ages if age > bounds.heartbeat_ms), "")
+
+
+def _trial_time(present: Present, bounds: Bounds) -> str:
+    if present.state.working_ns < 0:
+        return ""
+    return _above("drives OPERATIONAL for", [(present.time_ns - present.state.working_ns) * 1e-9], bounds.trial_s, "s")
+
+
+def _own_time(present: Present, bounds: Bounds) -> str:
+    late = present.state.time_ns >= 0 and not 0 < present.time_ns - present.state.time_ns <= LATE_NS
+    return f"{(present.time_ns - present.state.time_ns) / MS:.0f} ms between two steps" if late else ""
+
+
+CHECKS: Final = (
+    Check("tension at START", Emcy.MONITOR_START, _start),
+    Check("tension at END", Emcy.MONITOR_END, _end),
+    Check("rise of a tension", Emcy.MONITOR_FORCE_RATE, _force_rate),
+    Check("angle of the knee", Emcy.MONITOR_ANGLE, _angle),
+    Check("speed of the knee", Emcy.MONITOR_SPEED, _speed),
+    Check("heartbeats of master and drives", Emcy.MONITOR_HEARTBEAT, _heartbeats),
+    Check("time of a trial", Emcy.MONITOR_TRIAL_TIME, _trial_time),
+    Check("the monitor's own steps", Emcy.MONITOR_OWN, _own_time),
+)
+"""In the order in which they are checked; the first that is broken is reported."""
+
+
+def step(state: MonitorState, bounds: Bounds, master: int, drives: Sequence[int], time_ns: int,
+         frames: Iterable[Frame], paths: Sequence[PathInputs]) -> MonitorState:
+    """Return the state after one step: the frames since the last one, and the monitor's own sensors now.
+
+    `master` and `drives` are the node ids whose heartbeats are watched. A state with an open line is returned as is.
+    """
+    if not state.enabled:
+        return state
+    watched = (master, *drives)
+    now = tuple(PathInputs(*map(float, path)) for path in paths)
+    last = {beat.node: beat for beat in state.heard}
+    for frame in frames:
+        node = frame.can_id - HEARTBEAT_BASE
+        if node in watched and len(frame.data) == 1 and not (frame.extended or frame.remote or frame.error):
+            last[node] = Heard(node, time_ns, frame.data[0] & 0x7F)
+    heard = tuple(last.values())
+    at_work = any(beat.node in drives and beat.state == NmtState.OPERATIONAL for beat in heard)
+    working_ns = -1 if not at_work else state.working_ns if state.working_ns >= 0 else time_ns
+    state = state._replace(heard=heard, working_ns=working_ns)
+    present = Present(state, time_ns, now, state.history[0] if state.history else now, watched)
+    broken = next(((check.code, text) for check in CHECKS if (text := check.breach(present, bounds))), None)
+    state = state._replace(time_ns=time_ns, history=(*state.history, now)[-WINDOW:])
+    return state if broken is None else state._replace(cause=broken[0], text=broken[1])

@@ -1,0 +1,71 @@
+"""`bowden mend`: journal, resumption, and a bench that is repaired overnight."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import bowden
+from bowden.mending import supervisor
+from bowden.mending.journal import Journal
+from parameters import InputError
+
+SETTINGS = {"reference": ["good.mcap"], "hours": 1.0}
+
+
+def test_a_resumed_journal_returns_what_was_done_and_does_the_rest(tmp_path: Path) -> None:
+    first = Journal(tmp_path / "journal.jsonl", SETTINGS, resume=False)
+    first.step("gait", lambda: {"file": "gait.mcap"})
+    again = Journal(tmp_path / "journal.jsonl", SETTINGS, resume=True)
+    assert again.step("gait", lambda: pytest.fail("done twice")) == {"file": "gait.mcap"}
+    assert again.step("diagnosis", lambda: {"verdict": "none"}) == {"verdict": "none"}
+    assert [line["step"] for line in again.lines] == ["settings", "gait", "diagnosis"]
+
+
+@pytest.mark.parametrize("cut", [1, 5, 20])
+def test_a_line_that_a_killed_process_cut_short_is_done_again(tmp_path: Path, cut: int) -> None:
+    path = tmp_path / "journal.jsonl"
+    Journal(path, SETTINGS, resume=False).step("gait", lambda: {"file": "gait.mcap"})
+    path.write_bytes(path.read_bytes()[:-cut])
+    again = Journal(path, SETTINGS, resume=True)
+    assert again.step("gait", lambda: {"file": "new.mcap"}) == {"file": "new.mcap"}
+    assert [json.loads(line)["step"] for line in path.read_text("utf-8").splitlines()] == ["settings", "gait"]
+
+
+def test_a_journal_of_another_run_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    Journal(path, SETTINGS, resume=False).step("gait", dict)
+    with pytest.raises(InputError, match="a run was recorded here"):
+        Journal(path, SETTINGS, resume=False)
+    with pytest.raises(InputError, match="resume with the same options"):
+        Journal(path, {**SETTINGS, "hours": 2.0}, resume=True)
+    with pytest.raises(InputError, match="expected home"):
+        Journal(path, SETTINGS, resume=True).step("home", dict)
+
+
+def test_the_interval_of_paired_gains_is_students() -> None:
+    low, high = supervisor.paired_interval([2.0, 2.1, 2.2, 2.1], [1.0, 1.2, 1.1, 1.1])
+    assert (round(low, 3), round(high, 3)) == (0.87, 1.13)
+
+
+def test_a_reference_that_is_no_recorded_trial_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"good\.csv: a reference trial of mend"):
+        bowden.mend([tmp_path / "good.csv"], tmp_path / "night")
+
+
+@pytest.mark.exhaustive
+def test_a_bench_is_repaired_and_a_killed_run_goes_on(tmp_path: Path) -> None:
+    good = tmp_path / "good.mcap"
+    bowden.run(bowden.Experiment(cycles=6, period_s=1.3), bus=bowden.simulated(serial=3), output=good)
+    worn = bowden.simulated(serial=3, plant_model={"effects": {"start_gain": {"start_gain": 1.06}}})
+    night = tmp_path / "night"
+    found = bowden.mend([good], night, bus=worn, cycles=6)
+    assert found.kept, found
+    assert "start_gain" in found.names
+    assert (night / "mend.html").exists()
+    lines = (night / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    (night / "journal.jsonl").write_bytes(b"".join(lines[:-1]) + lines[-1][:10])
+    again = bowden.mend([good], night, bus=worn, cycles=6, resume=True)
+    assert (again.kept, again.before, again.after) == (True, found.before, found.after)

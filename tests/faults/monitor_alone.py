@@ -1,0 +1,312 @@
+"""The matrix with the safety monitor: `python -m tests.faults.monitor_alone [--guards alone master both] [--drive …]
+[--rows PATTERN] [--moments …] [--every N] [--csv FILE] [--page FILE] [--healthy N]`. A run replaces its own drives and
+supervisions in the CSV and keeps the others.
+
+Supervisions of one fault: the monitor alone (the master's checks are switched off here, in this process; the product
+has no such switch), for its faults beyond a bound the monitor and a weak link in the rope at the drum, the master
+without a monitor, and both. `--drive bought`: a drive that protects nothing by itself. The bounds are those of the
+issue "Safe through the stop"; the exit status is 1 if one is broken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import dataclasses
+import itertools
+import math
+import re
+import signal
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+
+import safety_monitor
+from eds.cia301 import Emcy
+from master.cycle.guard import Guard
+from master.cycle.safety import StopError
+from nodes.drives import axis_law
+from nodes.drives.drive import Drive
+from nodes.drives.servo import ServoDrive
+from tests.faults import plants
+from tests.faults.rows import ROWS
+from tests.faults.stage import Row, Told, Walk, trial
+
+BOUND_START_N, BOUND_END_N, BEYOND_DEG = 120.0, 80.0, 5.0
+"""Bounds of a single fault under the monitor alone: true tensions, and the leg beyond the person's range."""
+GUARDS: Final = ("alone", "link", "master", "both")
+WORDS: Final = {"alone": "monitor alone", "link": "monitor and weak link", "master": "master, no monitor",
+                "both": "both"}
+LINK_N: Final = 80.0
+"""Tension at START at which a weak link between drum and rope parts: above the person's 65 N there; friction of the
+path leaves less of it at END."""
+BY: Final = {int(code): code.text.partition(": ")[2] for code in Emcy if code.name.startswith("MONITOR_")}
+BEGIN, END = "<!-- monitor: begin -->", "<!-- monitor: end -->"
+WORST: Final = 12
+"""Rows of each supervision that the page shows; the CSV has all of them."""
+
+
+class Supervised(NamedTuple):
+    """One fault under one supervision: greatest true tensions, N, range of the leg, degrees, and who stopped it."""
+
+    drive: str
+    guard: str
+    fault: str
+    moment: str
+    walk: str
+    start_n: float
+    end_n: float
+    low_deg: float
+    high_deg: float
+    stopped_by: str
+    within: bool
+
+
+def supervised(row: Row, told: Told, guard: str, drive: str, walk: Walk, bounds: safety_monitor.Bounds) -> Supervised:
+    """Return what a fault did to the limb, from its beginning to the end of the recording."""
+    paths = [true[true[:, 0] > told.fault_ns] for true in told.paths]
+    start_n, end_n = (max(float(true[:, place].max(initial=0.0)) for true in paths) for place in (1, 2))
+    legs = np.degrees(np.concatenate([true[:, 3] for true in paths]))
+    low, high = float(legs.min(initial=0.0)), float(legs.max(initial=-90.0))
+    within = (start_n <= BOUND_START_N and end_n <= BOUND_END_N and low >= bounds.knee_low_deg - BEYOND_DEG
+              and high <= bounds.knee_high_deg + BEYOND_DEG)
+    return Supervised(drive, guard, row.name, told.moment, str(walk), round(start_n, 1), round(end_n, 1),
+                      round(low, 1), round(high, 1), _stopped_by(told), within)
+
+
+def _stopped_by(told: Told) -> str:
+    """Return the monitor's cause if it opened the line, else the master's reason."""
+    texts = [text for _time, kind, _source, text in told.events if kind == "emcy"]
+    cause = next((name for code, name in BY.items() for text in texts if f"0x{code:04X}" in text), None)
+    if cause is not None:
+        return f"monitor: {cause}"
+    return (told.crashed or told.reason or "nobody")[:80]
+
+
+def unchecked() -> Any:
+    """Make the master's checks conclude nothing while this context lasts; what they learn and record stays."""
+    return patch.multiple(Guard, **{name: _concluding_nothing(getattr(Guard, name))
+                                    for name in ("check", "check_gait", "heed", "heed_strangers")})
+
+
+def _concluding_nothing(check: Any) -> Any:
+    def checked(*given: Any, **named: Any) -> None:
+        with suppress(StopError):
+            check(*given, **named)
+    return checked
+
+
+def weak_link() -> Any:
+    """Part the rope at the drum where its tension passes `LINK_N`, while this context lasts."""
+    advance = plants.Breakable.advance
+
+    def parting(plant: Any, until_ns: int, servo_nm: float, knee_nm: float) -> Any:
+        felt = advance(plant, until_ns, servo_nm, knee_nm)
+        if plant.second_sensors()[0] > LINK_N:
+            plant.snap(0)
+        return felt
+
+    return patch.object(plants.Breakable, "advance", parting)
+
+
+class _Bought:
+    """While it lasts, drives have no tension limit, no comparison of velocity and position and no step limit."""
+
+    ABSENT: Final = frozenset({0x2012, 0x2013, 0x2017, 0x2018})
+
+    def __enter__(self) -> None:
+        configure, number, absent = ServoDrive.configure, Drive.number, self.ABSENT
+        plain = Drive.configure
+
+        def of_servo(drive: Any) -> None:
+            configure(drive)
+            drive.axis.g[[axis_law.TENSION_LIMIT, axis_law.HOLD_TORQUE, axis_law.UNTRUSTED_TORQUE]] = math.inf
+
+        def of_any(drive: Any) -> None:
+            plain(drive)
+            drive.axis.g[axis_law.APART_LIMIT] = math.inf
+
+        self._patches = [
+            patch.object(ServoDrive, "configure", of_servo), patch.object(Drive, "configure", of_any),
+            patch.object(Drive, "number", lambda drive, index, sub=0: 0 if index in absent else number(
+                drive, index, sub))]
+        for one in self._patches:
+            one.start()
+
+    def __exit__(self, *_error: object) -> None:
+        for one in reversed(self._patches):
+            one.stop()
+
+
+def bench(guard: str, person: Path, bounds: safety_monitor.Bounds) -> dict[str, Any]:
+    """Return the options of a bench whose mechanical end stops are set to the person's range."""
+    stops = {"stop_low_rad": math.radians(bounds.knee_low_deg), "stop_high_rad": math.radians(bounds.knee_high_deg)}
+    monitor = {} if guard == "master" else {"monitor": str(person)}
+    return {"plant_model": {"plant": stops}, **monitor}
+
+
+def ran(rows: Mapping[Walk, Sequence[Row]], guard: str, drive: str, person: Path, jobs: int) -> Iterator[Supervised]:
+    """Run the rows of each walk under one supervision."""
+    bounds = safety_monitor.read(person)
+    for walk, mine in rows.items():
+        by_name = {row.name: row for row in mine}
+        with ExitStack() as switched:
+            if guard in ("alone", "link"):
+                switched.enter_context(unchecked())
+            if guard == "link":
+                switched.enter_context(weak_link())
+            if drive == "bought":
+                switched.enter_context(_Bought())
+            found, twin = trial(mine, jobs, walk, **bench(guard, person, bounds))
+        if twin.reason is not None or _stopped_by(twin) != "nobody":
+            raise SystemExit(f"the twin stopped ({walk}, {guard}): {_stopped_by(twin)}")
+        for told in found:
+            yield supervised(by_name[told.name], told, guard, drive, walk, bounds)
+
+
+def chosen(pattern: str, moments: Sequence[str], every: int) -> dict[Walk, list[Row]]:
+    """Return the rows that match, at these moments or their own, one in `every` of the runs, by the walk they break.
+
+    A slow fault is run in its shortest gait alone: what the monitor sees of it is where it ends.
+    """
+    count = itertools.count()
+    found: dict[Walk, list[Row]] = {}
+    for row in ROWS:
+        walk = row.walks[0]
+        own = walk.moments or row.moments
+        at = tuple(m for m in own if (not moments or m in moments or m == "start") and next(count) % every == 0)
+        if at and re.search(pattern, row.name):
+            found.setdefault(walk, []).append(dataclasses.replace(row, moments=at, walks=(walk,)))
+    return found
+
+
+def beyond(rows: Mapping[Walk, Sequence[Row]], found: Sequence[Supervised], drive: str) -> dict[Walk, list[Row]]:
+    """Return the rows, with those of their moments, that the monitor alone did not keep within the bounds."""
+    broken = {(row.fault, row.moment) for row in found
+              if row.drive == drive and row.guard == "alone" and not row.within}
+    return {walk: kept for walk, mine in rows.items() if (kept := [
+        dataclasses.replace(row, moments=at) for row in mine
+        if (at := tuple(moment for moment in row.moments if (row.name, moment) in broken))])}
+
+
+# ---- healthy trials ----
+
+
+def person_of(peak_n: float, period_s: float, folder: Path) -> Path:
+    """Write a person's file for another peak and gait than the packaged: forces by the peak, speed by the period."""
+    by = peak_n / 40.0
+    text = safety_monitor.packaged().read_text(encoding="utf-8")
+    for key, factor in {"start_n": by, "end_n": by, "force_rate_n_s": max(1.0, by) * max(1.0, 1.1 / period_s),
+                        "knee_deg_s": max(1.0, 1.1 / period_s)}.items():
+        top = safety_monitor.person.RANGES[key][2]
+        text = re.sub(rf"(?m)^{key} = ([\d.]+)",
+                      lambda m, key=key, factor=factor, top=top: f"{key} = {min(top, factor * float(m[1])):.1f}", text)
+    path = folder / f"person-{peak_n:g}-{period_s:g}.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def healthy(count: int) -> int:
+    """Run healthy trials with a monitor, print how many it stopped, and return that number."""
+    from benchmarks import supervision
+
+    stopped = []
+    with tempfile.TemporaryDirectory() as folder:
+        for job in supervision.jobs(count, 2):
+            person = person_of(job.peak_n, job.period_s, Path(folder))
+            ended = supervision.ran(job._replace(bench=job.bench | {"monitor": str(person)}))
+            if ended.reason is not None:
+                stopped.append((job, ended.reason))
+                print(f"{job}: {ended.reason}", flush=True)
+    print(f"{count} healthy trials with a safety monitor, {len(stopped)} stopped.")
+    return len(stopped)
+
+
+# ---- output ----
+
+
+def table(found: Sequence[Supervised]) -> list[str]:
+    """Return the page's section: how many runs of each supervision keep the bounds, and the worst of them."""
+    lines = ["| drive | supervision | runs | within the bounds | START (N) | END (N) | leg (degrees) |",
+             "|---|---|---|---|---|---|---|"]
+    for (drive, guard), rows in _grouped(found):
+        lines.append(f"| {drive} | {WORDS[guard]} | {len(rows)} | {sum(row.within for row in rows)} | "
+                     f"{max(row.start_n for row in rows):.0f} | {max(row.end_n for row in rows):.0f} | "
+                     f"{min(row.low_deg for row in rows):.0f} … {max(row.high_deg for row in rows):.0f} |")
+    lines += ["", "| drive | supervision | beyond a bound | at | START / END (N) | leg (degrees) | stopped by |",
+              "|---|---|---|---|---|---|---|"]
+    for (drive, guard), rows in _grouped(found):
+        beyond = sorted((row for row in rows if not row.within), key=lambda row: -row.start_n)
+        lines += [f"| {drive} | {WORDS[guard]} | {row.fault} | {row.moment} | {row.start_n:.0f} / {row.end_n:.0f} | "
+                  f"{row.low_deg:.0f} … {row.high_deg:.0f} | {row.stopped_by} |" for row in beyond[:WORST]]
+        if len(beyond) > WORST:
+            lines.append(f"| {drive} | {WORDS[guard]} | {len(beyond) - WORST} more in monitor.csv | | | | |")
+    return lines
+
+
+def _grouped(found: Iterable[Supervised]) -> list[tuple[tuple[str, str], list[Supervised]]]:
+    groups: dict[tuple[str, str], list[Supervised]] = {}
+    for row in found:
+        groups.setdefault((row.drive, row.guard), []).append(row)
+    return list(groups.items())
+
+
+def kept(path: Path | None) -> list[Supervised]:
+    """Return the rows of a CSV that an earlier run wrote; none where there is no file."""
+    if path is None or not path.exists():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
+        return [Supervised(*row[:5], *map(float, row[5:9]), row[9], row[10] == "True")  # type: ignore[misc, arg-type]
+                for row in itertools.islice(csv.reader(file), 1, None)]
+
+
+def main() -> int:
+    """Run, print, write."""
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("--guards", nargs="*", choices=GUARDS, default=GUARDS)
+    asked.add_argument("--drive", nargs="*", choices=("own", "bought"), default=("own",))
+    asked.add_argument("--rows", default="")
+    asked.add_argument("--moments", nargs="*", default=())
+    asked.add_argument("--every", type=int, default=1, help="one run in so many")
+    asked.add_argument("--person", type=Path, default=safety_monitor.packaged())
+    asked.add_argument("--csv", type=Path)
+    asked.add_argument("--page", type=Path)
+    asked.add_argument("--healthy", type=int, default=0, help="healthy trials instead of faults")
+    asked.add_argument("--jobs", type=int, default=2)
+    given = asked.parse_args()
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):  # a shell's background job ignores some of them
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
+    if given.healthy:
+        return int(bool(healthy(given.healthy)))
+    turns = list(itertools.product(given.drive, given.guards))
+    found = [row for row in kept(given.csv) if (row.drive, row.guard) not in turns]
+    rows = chosen(given.rows, given.moments, given.every)
+    for drive, guard in turns:
+        for row in ran(beyond(rows, found, drive) if guard == "link" else rows, guard, drive, given.person, given.jobs):
+            found.append(row)
+            print(f"{'      ' if row.within else 'BEYOND'} {row.drive:6} {row.guard:6} {row.fault:42} "
+                  f"{row.moment:7} {row.start_n:6.1f}/{row.end_n:6.1f} N {row.low_deg:6.1f}…{row.high_deg:5.1f}°  "
+                  f"{row.stopped_by}", flush=True)
+    found.sort(key=lambda row: (row.drive != "own", GUARDS.index(row.guard)))
+    if given.csv:
+        with given.csv.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(Supervised._fields)
+            writer.writerows(found)
+    lines = table(found)
+    print("\n".join(lines))
+    if given.page:
+        text = given.page.read_text(encoding="utf-8")
+        before, after = text.split(BEGIN)[0], text.split(END)[1]
+        given.page.write_text("\n".join([before + BEGIN, *lines, END]) + after, encoding="utf-8")
+    return int(any(not row.within for row in found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,22 @@
+"""The safety monitor alone, in CI: faults that move the leg or the rope most keep the limb within its bounds."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("drive", ["own", "bought"])
+def test_the_monitor_alone_keeps_the_limb_within_its_bounds(drive: str) -> None:
+    run = subprocess.run(
+        [sys.executable, "-m", "tests.faults.monitor_alone", "--guards", "alone", "--drive", drive, "--moments", "idle",
+         "--rows", "^knee encoder sign flipped$|^knee stage runs away$|^START × 0.5$"],
+        cwd=ROOT, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert run.stdout.count("monitor: ") == 3
