@@ -68,7 +68,8 @@ def calibrated(trials: Sequence[Table], start: Mapping[str, Any], sigma: Values,
     `end_offset_n`: zero of END.
     """
     inverse.prepare()
-    still = Rest(start["start_offset"], end_offset_n, _noise(trials))
+    still = _at_rest(trials, Rest(start["start_offset"], end_offset_n, _noise(trials)))
+    start = {**start, "start_offset": still.start_offset}
     guess = dataclasses.replace(nominal(), **start)
     ramps = [_segment(given, "ramp") for given in trials]
     found, proof = calibration_fit.loops(ramps, guess, still)
@@ -98,6 +99,17 @@ def _evidence(value: float, by_path: float, sd: float, fitted: ScalarEvidence | 
     half = 1.96 * math.hypot(sd, value - by_path)
     again = math.nan if fitted is None else fitted.repeatability
     return ScalarEvidence(value - half, value + half, trial=trial, repeatability=again)
+
+
+def _at_rest(trials: Sequence[Table], path: Rest) -> Rest:
+    """Return the zeros with those measured on the slack rope before a gait, where trials have it; else the path's."""
+    rows = [given.before for given in trials if {"tension_start_n", "tension_end_n"} <= set(given.before)]
+    slack = [np.flatnonzero(before["tension_start_n"] < SLACK_N) for before in rows]
+    if not rows or not all(at.size for at in slack):
+        return path
+    start, end = (float(np.nanmedian(np.concatenate([before[name][at] for before, at in zip(rows, slack, strict=True)])))
+                  for name in ("tension_start_n", "tension_end_n"))
+    return Rest(start, end, path.start_noise)
 
 
 def _noise(trials: Sequence[Table]) -> float:
