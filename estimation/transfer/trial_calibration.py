@@ -107,8 +107,9 @@ def _at_rest(trials: Sequence[Table], path: Rest) -> Rest:
     slack = [np.flatnonzero(before["tension_start_n"] < SLACK_N) for before in rows]
     if not rows or not all(at.size for at in slack):
         return path
-    start, end = (float(np.nanmedian(np.concatenate([before[name][at] for before, at in zip(rows, slack, strict=True)])))
-                  for name in ("tension_start_n", "tension_end_n"))
+    start, end = (float(np.nanmedian(np.concatenate([
+        before[name][at] for before, at in zip(rows, slack, strict=True)])))
+        for name in ("tension_start_n", "tension_end_n"))
     return Rest(start, end, path.start_noise)
 
 
