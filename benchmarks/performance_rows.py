@@ -38,7 +38,8 @@ from physics.reference import paper_reference
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
 from virtual_bus.compiled.compiled_cycles import SWITCH
-from virtual_bus.wire.bits import INTERMISSION_BITS, bits_of
+from virtual_bus.wire.bit_counts import bits_of
+from virtual_bus.wire.bits import INTERMISSION_BITS
 
 Row = tuple[str, str, str, str, str]
 ROOT = Path(__file__).resolve().parents[1]

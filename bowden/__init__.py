@@ -74,7 +74,12 @@ def __getattr__(name: str) -> Any:
     if hidden is not None:
         raise ImportError(f"bowden.{name}: {hidden}")
     module, _, attribute = _HOMES[name].partition(":")
-    found: Any = importlib.import_module(module)
+    try:
+        found: Any = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        from parameters import extras
+
+        raise extras.refusal(error) from None
     if module != f"{__name__}.{name}":
         found = getattr(found, attribute or name)
     globals()[name] = found

@@ -4,6 +4,7 @@ from estimation.transfer.homing_fit import HomingFit
 from master.control.controller import Column, Conditions, Controller, ControllerInput, ControllerOutput, Trace
 from master.control.gait_table import GaitTable
 from master.settings import Impedance
+from parameters import parameter
 from physics.calibration import Calibration
 
 __all__ = [
@@ -17,4 +18,5 @@ __all__ = [
            "HomingFit",
            "Impedance",
            "Trace",
+           "parameter",
 ]

@@ -214,6 +214,24 @@ class Status(IntFlag):
     HOMING_ERROR = 1 << 13
 
 
+_SHOWN: Final = (Status.WARNING, Status.REMOTE, Status.TARGET_REACHED, Status.INTERNAL_LIMIT)
+"""Bits of the statusword with one meaning in every mode, beside those of the state."""
+
+
+def statusword_text(word: int) -> str:
+    """Return a statusword in words: the state, and the bits whose meaning does not depend on the mode."""
+    state = state_of(word)
+    bits = [bit.name.lower().replace("_", " ") for bit in _SHOWN if word & bit and bit.name]
+    return ", ".join(["no state of CiA 402" if state is None else state.title, *bits])
+
+
+def controlword_text(word: int) -> str:
+    """Return the command of a controlword in words."""
+    event = DriveEvent.FAULT_RESET if word & Control.FAULT_RESET else next(
+        (event for event, command in COMMANDS.items() if word & command.mask == command.value), None)
+    return ("no command" if event is None else event.value) + (", halt" if word & Control.HALT else "")
+
+
 class Mode(IntEnum):
     """Modes of operation, 0x6060 and 0x6061."""
 
@@ -272,3 +290,21 @@ class Input(IntFlag):
     """The emergency-stop input (STO) is active."""
     RELEASE_OUTSTANDING = 1 << 16
     """STO was active; 0x2020 awaits the operator's release."""
+
+
+def mode_text(number: int) -> str:
+    """Return a mode of operation in words."""
+    return next((one.name.replace("_", " ").lower() if len(one.name) > 3 else one.name for one in Mode
+                 if one == number), f"mode {number}")
+
+
+WORDS: Final = MappingProxyType({
+    0x6040: controlword_text, 0x6041: statusword_text, 0x6060: mode_text, 0x6061: mode_text,
+})
+"""Objects of CiA 402 whose values are words, by index of the first axis; further axes are 0x800 apart."""
+
+
+def text_of(index: int, value: object) -> str:
+    """Return the words for a value of controlword, statusword or mode, of any axis; empty for other objects."""
+    words = WORDS.get(0x6000 + (index - 0x6000) % 0x800) if 0x6000 <= index < 0xA000 else None
+    return "" if words is None or not isinstance(value, int) else words(value)

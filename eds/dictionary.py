@@ -20,6 +20,10 @@ from parameters import InputError
 
 VAR, ARRAY, RECORD, DOMAIN_OBJECT = 0x7, 0x8, 0x9, 0x2
 PACKAGED: Final = ("servo_drive", "knee_drive", "tension_sensor", "joint_encoder")
+OCTETS: Final = "ParameterOctets"
+"""Key of a string's octets in a backup, for strings that text in a DCF cannot hold (line ends, spaces at the ends)."""
+NO_OCTETS: Final = "none"
+"""Value of `OCTETS` for an empty string: the readers of EDS files take an empty value for an absent one."""
 _EMERGENCIES: Final = re.compile(r"(emcy|emergency)[ _]?(error)?[ _]?codes?", re.IGNORECASE)
 _DUMMY: Final = re.compile(r"dummy[0-9a-f]{4}", re.IGNORECASE)
 
@@ -174,9 +178,17 @@ def _entry(section: ini.Section, sections: Mapping[str, ini.Section], index: int
         low=limit(data_type, section.get("LowLimit"), node_id),
         high=limit(data_type, section.get("HighLimit"), node_id),
         mappable=bool(number(section.get("PDOMapping"))),
-        value=value(data_type, section.get("ParameterValue"), node_id),
+        value=_value(data_type, section, node_id),
         relative=default is not None and "NODEID" in default.upper(),
     )
+
+
+def _value(data_type: DataType, section: ini.Section, node_id: int | None) -> Value | None:
+    """Return the DCF's value: the octets of `ParameterOctets`, a key of this project's backups, else ParameterValue."""
+    octets = section.get(OCTETS)
+    if octets is not None:
+        return value(DataType.OCTET_STRING, octets.removeprefix(NO_OCTETS))
+    return value(data_type, section.get("ParameterValue"), node_id)
 
 
 def _compact(section: ini.Section, sections: Mapping[str, ini.Section], index: int, sub: int,
@@ -189,8 +201,10 @@ def _compact(section: ini.Section, sections: Mapping[str, ini.Section], index: i
             own.add(*item)
     name = names.get(str(sub)) if names else None
     own.add("ParameterName", name or f"{section.get('ParameterName') or ''}{sub}", section.line)
-    if values and (given := values.get(str(sub))):
-        own.add("ParameterValue", given, values.line)
+    if values is not None:
+        for key, prefix in (("ParameterValue", ""), (OCTETS, OCTETS)):
+            if given := values.get(f"{prefix}{sub}"):
+                own.add(key, given, values.line)
     yield from _entry(own, sections, index, sub, node_id)
 
 

@@ -20,6 +20,7 @@ from scipy.signal import butter, sosfiltfilt
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel
 from estimation.likelihood_data import GRID_S, LOWPASS_HZ, START_S, Recording
+from parameters import InputError
 from physics.effects.hypotheses import SENSOR, Hypothesis, Read
 from physics.effects.rig_hypotheses import (
     STRETCH_M_PER_N,
@@ -487,6 +488,13 @@ def _fitted(trial: Taken, output: str, columns: Sequence[Array], less: Array | N
 
 
 def rig_model_of(reference: Sequence[Table], trials: Sequence[Table]) -> RigModel:
-    """Return the model of another rig, built on the columns that all reference trials and trials have."""
+    """Return the model of another rig, built on the columns that all reference trials and trials have.
+
+    Raises `InputError` if one of them has no position of the axis.
+    """
+    for given in (*reference, *trials):
+        if "servo_position_m" not in given:
+            raise InputError(f"{given.source}: has no column servo_position_m that moves; the simulation of a rig "
+                             "needs it. Record the axis' position, in trials and reference trials alike.")
     kept = {n for n in reference[0].columns if all(n in t for t in [*reference, *trials])}
     return RigModel([replace(t, columns={n: v for n, v in t.columns.items() if n in kept}) for t in reference])

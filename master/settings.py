@@ -26,6 +26,8 @@ class Gait:
                                 source="assumed: none; three at a bench that has not run before")
     controller: str = parameter("paper", "", "none, friction, impedance, paper, extended, or a plug-in",
                                 source="the paper; docs/controllers.md")
+    tuning: str = parameter("", "", "values of the controller's own parameters, as kp=40, ki=2",
+                            source="docs/controllers.md")
     co_contraction: float = parameter(
         0.5, "", "desired force of an antagonist, by that of the rope that flexes the joint", low=0.05, high=1.0,
         source="assumed: half; benches of two ropes on one joint only")

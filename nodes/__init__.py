@@ -1,41 +1,43 @@
-"""CANopen devices, sans-IO: the core (CiA 301), the drives (CiA 402), the tension sensors (CiA 404).
+"""CANopen devices, sans-IO: the core (CiA 301), the drives (CiA 402), the sensors (CiA 404), I/O (CiA 401).
 
 The rule of this room: frames, samples and times go in, frames and torques come out; no clock, no bus, no thread.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
-from typing import Final
+import importlib
+from typing import TYPE_CHECKING, Any
 
-from eds.bench.bench_network import WireLayout
-from eds.declaration import JOINT_DRIVE, JOINT_ENCODER, LOAD_CELL, ROPE_DRIVE
 from nodes.core.device import Application, Device
-from nodes.drives.axis_law import prepare
-from nodes.drives.drive import Drive, KneeDrive
-from nodes.drives.servo import ServoDrive
-from nodes.sensors.joint_encoder import JointEncoder
-from nodes.sensors.tension_sensor import TensionSensor
-from parameters import InputError
+from nodes.drives.generic_drive import GenericDrive
+from nodes.io_module import IoModule
+from parameters import extras
 
-__all__ = [
-    "Application", "Device", "Drive", "JointEncoder", "KneeDrive", "ServoDrive", "TensionSensor", "build", "prepare"]
+if TYPE_CHECKING:
+    from nodes.bench_devices import APPLICATIONS, build
+    from nodes.drives.axis_law import prepare
+    from nodes.drives.drive import Drive, KneeDrive
+    from nodes.drives.servo import ServoDrive
+    from nodes.sensors.joint_encoder import JointEncoder
+    from nodes.sensors.tension_sensor import TensionSensor
 
-APPLICATIONS: Final[Mapping[str, Callable[[], Application]]] = MappingProxyType(
-    {ROPE_DRIVE.name: ServoDrive, JOINT_DRIVE.name: KneeDrive, LOAD_CELL.name: TensionSensor,
-     JOINT_ENCODER.name: JointEncoder})
-"""The application behind a simulated device of each declared type."""
+_HOMES = {
+    "APPLICATIONS": "bench_devices", "Drive": "drives.drive", "JointEncoder": "sensors.joint_encoder",
+    "KneeDrive": "drives.drive", "ServoDrive": "drives.servo", "TensionSensor": "sensors.tension_sensor",
+    "build": "bench_devices", "prepare": "drives.axis_law",
+}
+"""Names whose modules are compiled, and so are imported when they are first used."""
+
+__all__ = ["APPLICATIONS", "Application", "Device", "Drive", "GenericDrive", "IoModule", "JointEncoder", "KneeDrive",
+           "ServoDrive", "TensionSensor", "build", "prepare"]
 
 
-def build(node_id: int, wire: WireLayout) -> tuple[Device, Application]:
-    """Make the bench's device `node_id`, not yet powered on, and the application behind it.
-
-    Raises `InputError` for a node id that is no device of the bench.
-    """
-    declared = next((device for device in wire.network.bench.devices if device.node_id == node_id), None)
-    if declared is None:
-        raise InputError(f"node {node_id} is no device of this bench; expected one of {sorted(wire.nodes)}.")
-    kind = declared.type
-    made = APPLICATIONS[kind.name]() if kind.name in APPLICATIONS else (kind.application or Application)()
-    return Device(wire.nodes[node_id].dictionary, node_id, made), made
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'nodes' has no attribute {name!r}")
+    try:
+        found = getattr(importlib.import_module(f"nodes.{_HOMES[name]}"), name)
+    except ModuleNotFoundError as error:
+        raise extras.refusal(error) from None
+    globals()[name] = found
+    return found

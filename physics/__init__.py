@@ -2,3 +2,9 @@
 
 Pure functions in SI and radians, without frames, files or buses.
 """
+
+from pathlib import Path
+
+from parameters import compile_cache
+
+compile_cache.prepare(Path(__file__).parent)

@@ -10,7 +10,6 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from parameters import InputError
 from physics import laws
@@ -140,6 +139,8 @@ def recorded_angle(percent: Array, angle_rad: Array) -> tuple[Array, Array]:
     """
     t, y = np.asarray(percent, dtype=np.float64), np.asarray(angle_rad, dtype=np.float64)
     _check_cycle(t, y)
+    from scipy.interpolate import CubicSpline
+
     spline = CubicSpline(t, y)
 
     def curve(at: Array, order: int) -> Array:
@@ -156,6 +157,8 @@ def recorded_force(percent: Array, force_n: Array) -> tuple[Array, Array, Array]
     """Return a desired-force curve for `Reference`, N and N per %: monotone between its points, periodic."""
     t, y = np.asarray(percent, dtype=np.float64), np.asarray(force_n, dtype=np.float64)
     _check_cycle(t, y)
+    from scipy.interpolate import PchipInterpolator
+
     around = PchipInterpolator(
         np.concatenate([t[-3:] - 100.0, t, t[:3] + 100.0] if t[-1] - t[0] < 100.0 else [t]),
         np.concatenate([y[-3:], y, y[:3]] if t[-1] - t[0] < 100.0 else [y]),

@@ -60,7 +60,8 @@ def empty(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) ->
     run(sys.executable, "-m", "venv", *(() if whole else ("--without-pip",)), place, at=place.parent)
     python = place / "bin" / "python"
     if whole:
-        run(python, "-m", "pip", "--quiet", "install", "-c", ROOT / "constraints.txt", built[1], at=place.parent)
+        run(python, "-m", "pip", "--quiet", "install", "-c", ROOT / "constraints.txt", f"{built[1]}[all]",
+            at=place.parent)
         return place / "bin"
     run(*PIP, "--python", python, "install", "--no-index", "--no-deps", built[1], at=place.parent)
     site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", at=place).strip())

@@ -12,7 +12,8 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
+
+from trial.low_pass import zero_phase
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -117,7 +118,7 @@ def lowpass(values: Floats, rate_hz: float) -> Floats | None:
         return None
     rows = np.arange(len(values))
     bridged = np.interp(rows, rows[good], values[good])
-    smooth = sosfiltfilt(butter(2, LOWPASS_HZ, fs=rate_hz, output="sos"), bridged)
+    smooth = zero_phase(bridged, LOWPASS_HZ, rate_hz)
     return np.where(good, smooth, np.nan)
 
 

@@ -9,29 +9,46 @@ from __future__ import annotations
 import errno
 import threading
 from collections.abc import Sequence
-from typing import Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
 from eds.bench.complete_cycle import CompleteCycle
 from eds.cia301 import Frame
-from parameters import InputError
+from parameters import InputError, extras
 from virtual_bus.bench import Bench
-from virtual_bus.build import build
 from virtual_bus.bus_options import options
-from virtual_bus.compiled.compiled_cycles import Steady, possible
-from virtual_bus.compiled.cycle_arrays import CycleRequest, Heartbeat
 from virtual_bus.kernel import NEVER
 from virtual_bus.wire.host import BowdenMessage, Room, Socket, frame_of
 from virtual_bus.wire.periodic import Modifier, PeriodicTask
 from virtual_bus.wire.station import Confinement
+
+if TYPE_CHECKING:
+    from virtual_bus.compiled.compiled_cycles import Steady
+    from virtual_bus.compiled.cycle_arrays import CycleRequest
 
 STATES: Final = {
     Confinement.ACTIVE: can.BusState.ACTIVE,
     Confinement.PASSIVE: can.BusState.PASSIVE,
     Confinement.BUS_OFF: can.BusState.ERROR,
 }
+
+
+def _built(given: dict[str, Any], channel: str) -> Bench:
+    """Return a bench with the packaged devices and a plant; its modules are compiled, and so are imported here."""
+    try:
+        from virtual_bus.build import build
+    except ModuleNotFoundError as error:
+        raise extras.refusal(error) from None
+    return build(options(given, f"channel {channel}"), channel)
+
+
+def _steady(bench: Bench) -> Steady | None:
+    """Return the compiled cycles of a bench; None if the bench cannot run them."""
+    from virtual_bus.compiled.compiled_cycles import Steady, possible
+
+    return Steady(bench) if possible(bench) else None
 
 
 class Shared:
@@ -42,7 +59,7 @@ class Shared:
         self.users = 0
         self.lock = threading.RLock()
         self.turnstile = threading.RLock()
-        self.steady = Steady(bench) if possible(bench) else None
+        self.steady = None if bench.machine is None else _steady(bench)
 
     def settle(self) -> None:
         """Write the arrays' state back to the bench's objects, before any access to them."""
@@ -99,8 +116,7 @@ class BowdenBus(can.BusABC):
         self._key = str(channel)
         shared = _OPEN.get(self._key)
         if shared is None:
-            made = bench or build(options(given, f"channel {self._key}"), self._key)
-            shared = _OPEN[self._key] = Shared(made)
+            shared = _OPEN[self._key] = Shared(bench or _built(given, self._key))
         self._shared = shared
         shared.settle()
         shared.users += 1
@@ -134,6 +150,8 @@ class BowdenBus(can.BusABC):
         steady = self._steady
         if steady is None or not (tap is None or (isinstance(tap, BowdenBus) and tap._shared is self._shared)):
             return None
+        from virtual_bus.compiled.cycle_arrays import CycleRequest, Heartbeat
+
         asked = CycleRequest(self._socket, None if tap is None else tap._socket, *targets,
                              tuple([each for each, _ in inputs]),
                              budget_ns, Heartbeat(*heartbeat))

@@ -1,4 +1,4 @@
-"""A simulated bench in wall time, on any python-can bus: `bowden bench`.
+"""A simulated bench in wall time, on any python-can bus: `bowden bench`, and single nodes: `bowden node serve`.
 
 The bench's own time follows a clock that is handed in. Due events run in their order and at their own time before any
 frame reaches a device; waiting is receiving.
@@ -18,10 +18,11 @@ import can
 from eds.cia301 import Frame
 from parameters import InputError
 from virtual_bus.bench import Bench
-from virtual_bus.kernel import Kernel
-from virtual_bus.wire.faults import OF_A_NODE, Fault, declared
+from virtual_bus.kernel import TIMER, Kernel
+from virtual_bus.wire.faults import COPY, OF_A_NODE, Fault, declared
 from virtual_bus.wire.host import frame_of, message_of
-from virtual_bus.wire.station import EXTENDED, Deliver, Station, Waiting
+from virtual_bus.wire.station import EXTENDED, Deliver, ErrorKind, Station, Waiting
+from virtual_bus.wire.wire import FrameFaults
 
 PATIENCE_NS: Final = 1_000_000
 """Largest delay of a drive's tick while no frame arrives from outside."""
@@ -41,10 +42,13 @@ class ServeFigures:
 class Outside:
     """Medium that joins the bench's stations to a python-can bus; stations receive each other directly.
 
-    A bus that `echoes` brings their frames back besides, in their order: those are passed over.
+    A bus that `echoes` brings their frames back besides, in their order: those are passed over. `judge` decides on
+    faults of single frames, either way; an error frame cannot be sent, so a frame that it asks one for is not sent.
     """
 
-    def __init__(self, kernel: Kernel, bus: can.BusABC, echoes: bool) -> None:
+    def __init__(self, kernel: Kernel, bus: can.BusABC, echoes: bool, judge: FrameFaults | None = None) -> None:
+        self._judge = judge
+        self._others = Station("other stations", lambda _frame, _now_ns: None)
         self.served = ServeFigures()
         self._echoes = echoes
         self._sent: deque[Frame] = deque(maxlen=1024)
@@ -74,7 +78,28 @@ class Outside:
         self._routes.clear()
 
     def submit(self, station: Station, frame: Frame, ready_ns: int, origin: object = None) -> bool:
-        """Send at once: wall time includes its own turnaround."""
+        """Send at once, for wall time includes its own turnaround, or when a fault lets the frame go."""
+        now_ns = self._kernel.now_ns
+        if self._judge is None:
+            return self._send(station, frame)
+        due_ns = now_ns if origin is COPY else self._judge.ready(station, frame, now_ns)
+        if due_ns > now_ns:
+            self._kernel.at(due_ns, TIMER, lambda: self._pass_on(station, frame, origin))
+        else:
+            self._pass_on(station, frame, origin)
+        return True
+
+    def _pass_on(self, station: Station, frame: Frame, origin: object) -> None:
+        """Send what the faults leave of a frame."""
+        left = self._judged(station, frame, origin)
+        if left is not None:
+            self._send(station, left)
+
+    def _judged(self, station: Station, frame: Frame, origin: object = None) -> Frame | None:
+        left = frame if self._judge is None else self._judge.heard((0, 0, station, frame, origin), self._kernel.now_ns)
+        return None if isinstance(left, ErrorKind) else left
+
+    def _send(self, station: Station, frame: Frame) -> bool:
         message = message_of(frame, 0, False, "")
         try:
             self._bus.send(message)
@@ -95,7 +120,9 @@ class Outside:
                 pass
             return
         self.served.received += 1
-        self.hear(None, frame)
+        left = self._judged(self._others, frame)
+        if left is not None:
+            self.hear(None, left)
 
     def hear(self, sender: Station | None, frame: Frame) -> None:
         """Pass a frame at once to every station but its sender whose filter accepts it."""
@@ -111,15 +138,15 @@ class Outside:
 
 def serve(
     bus: can.BusABC, bench: Bench, clock: Callable[[], int], stop: Callable[[], bool] = lambda: False, *,
-    echoes: bool = False,
+    echoes: bool = False, judge: FrameFaults | None = None,
 ) -> ServeFigures:
     """Run `bench` on `bus` at the pace of `clock`, ns, until `stop` returns True, and return its figures.
 
     `echoes`: the bus receives its own frames, as python-can's `udp_multicast` does. The computer of the bench stays
-    outside: masters are on `bus`. Raises `can.CanOperationError` when the interface is gone; while it is down, frames
-    are lost and counted, as in a real node.
+    outside: masters are on `bus`. `judge` decides on faults of single frames. Raises `can.CanOperationError` when the
+    interface is gone; while it is down, frames are lost and counted, as in a real node.
     """
-    bench.medium = outside = Outside(bench.kernel, bus, echoes)
+    bench.medium = outside = Outside(bench.kernel, bus, echoes, judge)
     for station in list(bench.wire.stations):
         bench.wire.detach(station)
         if station is not bench.host:

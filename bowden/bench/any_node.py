@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from eds.cia301 import Abort
 from eds.dictionary import PACKAGED, Dictionary, packaged, read
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
@@ -20,6 +21,24 @@ if TYPE_CHECKING:
 BITRATE = 1_000_000
 
 
+_ADVICE = {
+    Abort.NO_OBJECT: "bowden node objects lists the objects of its EDS",
+    Abort.NO_SUBINDEX: "give another sub-index, such as 1018:01",
+    Abort.READ_ONLY: "write another object", Abort.WRITE_ONLY: "read another object",
+    Abort.DEVICE_STATE: "change its NMT or drive state first", Abort.LOCAL_CONTROL: "release its local control first",
+    Abort.TOO_LONG: "give --type or its EDS", Abort.TOO_SHORT: "give --type or its EDS",
+    Abort.LENGTH: "give --type or its EDS",
+}
+"""Remedies of SDO refusals by abort code."""
+
+
+def advice(error: SdoError) -> str:
+    """Return what to do about an SDO that failed: the remedy of its abort code, or the checks of a silent node."""
+    if error.code is None:
+        return "check node id, bit rate, supply and cable (bowden node scan)"
+    return next((text for code, text in _ADVICE.items() if code == error.code), "see the device's manual")
+
+
 @contextmanager
 def linked(bus: BusSettings, bitrate: int = BITRATE) -> Iterator[Link]:
     """Open a bus and a link on it that sends no heartbeat; raises `InputError` where bus or node fails."""
@@ -29,7 +48,7 @@ def linked(bus: BusSettings, bitrate: int = BITRATE) -> Iterator[Link]:
         try:
             yield Link(opened, buses.clock_of(opened), heartbeat_ms=None)
         except SdoError as error:
-            raise InputError(f"{error}; check node id, bit rate, supply and cable (bowden node scan).") from None
+            raise InputError(f"{error}; {advice(error)}.") from None
         except LinkError as error:
             raise InputError(f"bus: {error}; see bowden doctor.") from None
 
@@ -44,7 +63,7 @@ def dictionary_of(link: Link, node_id: int, eds: Path | None) -> Dictionary | No
     try:
         identity = access.NodeAccess(link, node_id).identity()
     except SdoError as error:
-        raise InputError(f"{error}; check node id, bit rate, supply and cable (bowden node scan).") from None
+        raise InputError(f"{error}; {advice(error)}.") from None
     files = [packaged(name) for name in PACKAGED] if eds is None else node_scan.files_of(eds)
     found = node_scan.fitting(identity, files, node_id)
     if found is None and eds is not None:

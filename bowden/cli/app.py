@@ -28,9 +28,8 @@ app = CommandGroup(
 
 MODULES = (
     "trials.trial", "trials.replay", "models.identify", "trials.sweep", "bench.bench", "bench.commission",
-    "bench.doctor", "bench.node", "bench.bus_files", "bench.lss", "bench.monitor", "bench.safety_monitor",
-    "models.diagnose", "models.plan", "models.discover", "models.mend",
-    "models.fit",
+    "bench.doctor", "bench.node", "bench.node_serve", "bench.bus_files", "bench.lss", "bench.monitor",
+    "bench.safety_monitor", "models.diagnose", "models.plan", "models.discover", "models.mend", "models.fit",
     "models.simulate", "models.verify", "trials.report", "bench.live", "bench.watch", "trials.convert",
     "trials.recordings", "bench.record", "bench.setup", "bench.setup_check", "models.logbook",
 )
@@ -93,6 +92,11 @@ def _run(arguments: Sequence[str]) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return 1
+    except ModuleNotFoundError as error:
+        from parameters import extras
+
+        sentence = extras.missing(error)
+        return _failed(error) if sentence is None else _refuse(sentence)
     except MemoryError:
         return _refuse("this computer's memory is too small for that; cut the input.")
     except RecursionError:
@@ -144,4 +148,5 @@ def _refuse(sentence: str) -> int:
 
 def _sentence(error: typer.exceptions.TyperException) -> str:
     text = error.format_message() if hasattr(error, "format_message") else str(error)
-    return f"{text.strip().rstrip('.')}; see bowden --help."
+    context = getattr(error, "ctx", None)
+    return f"{text.strip().rstrip('.')}; see {'bowden' if context is None else context.command_path} --help."

@@ -5,8 +5,9 @@ Arguments are shown as words (`TRIAL`, `[TRIAL]`, `TRIAL...`), without the type 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final, TypeVar
 
 import typer
 import typer.main
@@ -43,15 +44,34 @@ class ShortHelpCommand(TyperCommand):
                     formatter.write_dl(rows)
 
 
+PANELS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({
+    "Run": ("trial", "replay", "sweep", "verify", "bench"),
+    "Data": ("report", "diagnose", "import", "export", "info", "compare", "cut", "merge", "recover", "live", "watch"),
+    "Bench": ("init", "check", "doctor", "home", "tare", "jog", "release", "acknowledge", "safety-monitor", "identify"),
+    "Model": ("fit", "simulate", "plan", "discover", "mend"),
+    "CAN": ("node", "lss", "monitor", "record"),
+    "Months": ("logbook",),
+})
+"""Commands by panel of `bowden --help`, in the order of a first day."""
+
+
 class Group(TyperGroup):
-    """A group that lists every command with its whole first sentence, wrapped where the terminal is narrow."""
+    """A group that lists every command with its whole first sentence, wrapped where the terminal is narrow.
+
+    Commands of `PANELS` are listed by panel, others under "Commands".
+    """
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the list of commands."""
-        rows = [(name, " ".join((command.help or "").partition("\n\n")[0].split()))
-                for name, command in self.commands.items()]
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
+        rows = {name: " ".join((command.help or "").partition("\n\n")[0].split())
+                for name, command in self.commands.items()}
+        panels = PANELS if "trial" in rows else {}
+        others = [name for name in rows if name not in {one for names in panels.values() for one in names}]
+        for title, names in {**panels, "Commands": others}.items():
+            listed = [(name, rows[name]) for name in names if name in rows]
+            if listed:
+                with formatter.section(title):
+                    formatter.write_dl(listed)
 
 
 class CommandGroup(typer.Typer):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -33,6 +33,17 @@ class Ending:
         """Print which signal ended the command."""
         name = "" if self.number is None else f" by {signal.Signals(self.number).name}"
         return f"bowden: interrupted{name}."
+
+
+@contextmanager
+def interrupted() -> Iterator[Callable[[], bool]]:
+    """Yield a function that returns whether Ctrl-C has come, in place of an exception."""
+    came: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _frame: came.append(number))
+    try:
+        yield lambda: bool(came)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

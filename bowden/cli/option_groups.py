@@ -29,6 +29,7 @@ class WalkOptions(NamedTuple):
     settle: options.Settle = None
     controller: options.Controller = None
     soft_start: options.SoftStart = None
+    tuning: options.Tuning = None
 
     def gait(self, section: Any, controller: str | None = None) -> Any:
         """Return the configuration's `section`, overridden by the options; `controller` is the default controller."""
@@ -37,7 +38,8 @@ class WalkOptions(NamedTuple):
         return override(section, {
             "peak_n": ("--peak", self.peak), "period_s": ("--period", self.period), "cycles": ("--cycles", self.cycles),
             "settle": ("--settle", self.settle), "controller": ("--controller", self.controller or controller),
-            "soft_start": ("--soft-start", self.soft_start)})
+            "soft_start": ("--soft-start", self.soft_start),
+            "tuning": ("--set", None if self.tuning is None else ", ".join(self.tuning))})
 
 
 class SimulatedOptions(NamedTuple):
@@ -109,6 +111,13 @@ class Bus(NamedTuple):
         configuration.refuse_raised(sections["limits"], str(config))
         safety_table.refuse_unheld(sections, str(config))
         return sections
+
+    def configured(self, config: Path | None) -> BusSettings:
+        """Return the bus to open; a simulated bench is the one that the configuration declares."""
+        from bowden.bench.buses import rated
+
+        network = self.sections(config)["network"]
+        return rated(self.chosen(), int(network.bitrate), network)
 
     def chosen(self, simulated: SimulatedOptions | None = None, *, always_simulated: bool = False) -> BusSettings:
         """Return the bus to open; raises `InputError` for contradictory options.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +19,46 @@ def _given(help: str, *names: str, metavar: str | None = None) -> Any:
     return typer.Option(*names, metavar=metavar, help=help)
 
 
+def _beginning(names: Iterable[str], incomplete: str) -> list[str]:
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def effects(incomplete: str) -> list[str]:
+    """Return the effects of the catalogue, and "any", that begin as typed."""
+    from physics.effects.catalogue import CATALOGUE
+
+    return _beginning(("any", *CATALOGUE), incomplete)
+
+
+def experiments(incomplete: str) -> list[str]:
+    """Return the experiments that begin as typed."""
+    return _beginning(SCRIPTED, incomplete)
+
+
+def controllers(incomplete: str) -> list[str]:
+    """Return the installed controllers that begin as typed."""
+    from importlib.metadata import entry_points
+
+    return _beginning(sorted(entry.name for entry in entry_points(group="bowden.controllers")), incomplete)
+
+
+def serials(incomplete: str) -> list[str]:
+    """Return the first twenty serials of simulated benches that begin as typed."""
+    return _beginning(map(str, range(1, 21)), incomplete)
+
+
+def declared_paths(incomplete: str) -> list[str]:
+    """Return the force paths of ./bench.toml that begin as typed; none without a declaration that can be read."""
+    from bowden.bench import configuration
+    from parameters import InputError
+
+    try:
+        bench = configuration.read(Path("bench.toml"), any_shape=True)["network"].bench
+    except InputError:
+        return []
+    return _beginning((path.name for path in bench.force_paths), incomplete)
+
+
 Output = Annotated[Path, _file("File to write.", "-o", "--output")]
 Overwrite = Annotated[bool, _given("Replace an existing output file.", "--overwrite")]
 Json = Annotated[bool, _given("One JSON object on stdout, nothing else.", "--json")]
@@ -30,9 +71,11 @@ Session = Annotated[str | None, _given(
     "Session of the logbook (default: the date; simulated: the day).", metavar="LABEL")]
 
 Watched = Annotated[bool, _given("Diagnose while it runs, by gait cycle; needs --healthy or a logbook.", "--watch")]
-Healthy = Annotated[list[Path] | None, typer.Option(metavar="TRIAL", help="Nothing is wrong in it; repeatable.")]
+Healthy = Annotated[list[Path] | None, typer.Option(
+    metavar="TRIAL", help="Reference trial of the healthy bench; repeatable.")]
 StopOn = Annotated[list[str] | None, typer.Option(
-    metavar="EFFECT", help="With --watch: safe stop where this effect, or any, costs 2 % of the peak; repeatable.")]
+    metavar="EFFECT", autocompletion=effects,
+    help="With --watch: safe stop where this effect, or any, costs 2 % of the peak; repeatable.")]
 
 Peak = Annotated[float | None, _given("Peak of the desired force, N (default 40).", metavar="N")]
 Period = Annotated[float | None, _given("Gait period, s (default 2.0, or the knee file's stride).", metavar="S")]
@@ -41,17 +84,22 @@ Settle = Annotated[int | None, _given("First cycles left out of every figure (de
 SoftStart = Annotated[int | None, _given("Gait cycles before the first, over which the peak rises (default 0).",
                                          "--soft-start", metavar="COUNT")]
 Rate = Annotated[int | None, _given("Control cycles per second, Hz (default 1000).", metavar="HZ")]
-Controller = Annotated[str | None, _given(
-    "paper, none, friction, impedance, extended or module:Class (paper).", metavar="NAME")]
+Controller = Annotated[str | None, typer.Option(
+    metavar="NAME", autocompletion=controllers,
+    help="paper, none, friction, impedance, extended or module:Class (paper).")]
+Tuning = Annotated[list[str] | None, typer.Option(
+    "--set", metavar="NAME=VALUE", help="A parameter that the controller declares; repeatable.")]
 Knee = Annotated[Path | None, _file("Knee motion, CSV of time_s, knee_angle_rad or gait_percent, knee_angle_deg.")]
 Desired = Annotated[Path | None, _file("Desired force, CSV of time_s or gait_percent and desired_force_n.")]
 Calibration = Annotated[Path | None, _file("Bench model to work from (default: the packaged nominal one).")]
 Script = Annotated[str | None, typer.Option(
-    "--experiment", metavar="NAME", help=f"In place of the gait, one that separates effects: {', '.join(SCRIPTED)}.")]
+    "--experiment", metavar="NAME", autocompletion=experiments,
+    help=f"In place of the gait, one that separates effects: {', '.join(SCRIPTED)}.")]
 ControllerModel = Annotated[Path | None, _file("Bench model whose effects the controller knows of.")]
 DryRun = Annotated[bool, _given("Everything on the bus, drives never enabled.", "--dry-run")]
 
-Serial = Annotated[int | None, _given("Simulated bench: its serial number (default 1).", metavar="NUMBER")]
+Serial = Annotated[int | None, typer.Option(
+    metavar="NUMBER", autocompletion=serials, help="Simulated bench: its serial number (default 1).")]
 Day = Annotated[int | None, _given("Simulated bench: the day (default 0).", metavar="NUMBER")]
 Seed = Annotated[int | None, _given("Simulated bench: seed of the noise (default 0).", metavar="NUMBER")]
 Plant = Annotated[str | None, typer.Option(metavar="NAME", help="Simulated bench: its plant (default bowden).")]
@@ -68,4 +116,5 @@ HomingForce = Annotated[float | None, _given(
     "START tension that homing may reach whatever the peak is (default 12).", "--homing-n", metavar="N")]
 Extra = Annotated[list[str] | None, typer.Option("--option", metavar="K=V", help="For the interface; repeatable.")]
 ForcePath = Annotated[str | None, typer.Option(
-    "--path", metavar="NAME", help="Force path of a bench of several, or joint of an arm.")]
+    "--path", metavar="NAME", autocompletion=declared_paths,
+    help="Force path of a bench of several, or joint of an arm.")]

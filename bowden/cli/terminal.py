@@ -34,7 +34,7 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
 
     drawn = Table()
     for i, name in enumerate(header):
-        drawn.add_column(name, justify="left" if i == 0 else "right")
+        drawn.add_column(name, justify="left" if i == 0 else "right", overflow="fold")
     for row in rows:
         drawn.add_row(*(Text(cell) for cell in row))  # [g] in a name is no markup
     console = Console()
@@ -89,11 +89,14 @@ def progress(text: str, *, shown: bool = True) -> Iterator[Callable[[float], Non
 
 @contextmanager
 def waiting(text: str, *, shown: bool = True) -> Iterator[None]:
-    """A spinner on stderr while something runs; silent unless `shown` and stderr is a terminal."""
+    """Show a spinner with the elapsed time on stderr; silent unless `shown` and stderr is a terminal."""
     if not (shown and sys.stderr.isatty()):
         yield
         return
     from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    with Console(stderr=True).status(text):
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        bar.add_task(text, total=None)
         yield

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from trial.mcap_file import cdr
 from trial.read import Trial
-from virtual_bus.wire.bits import INTERMISSION_BITS, bits_of
+from virtual_bus.wire.bit_counts import bits_of
+from virtual_bus.wire.bits import INTERMISSION_BITS
 
 
 def frame_bits(frames: NDArray[np.void]) -> NDArray[np.int64]:

@@ -70,7 +70,7 @@ def simulate(recorded: Trial, chosen: BusSettings, described: WireLayout, progre
 def lengths_ns(frames: Rows, bitrate: int) -> np.ndarray[Any, np.dtype[np.int64]]:
     """Duration of each recorded frame on the wire."""
     from trial.mcap_file import cdr
-    from virtual_bus.wire.bits import bits_of
+    from virtual_bus.wire.bit_counts import bits_of
 
     flags = frames["flags"]
     bits = bits_of(frames["can_id"], frames["dlc"], frames["data"], flags & cdr.REMOTE != 0, flags & cdr.EXTENDED != 0)

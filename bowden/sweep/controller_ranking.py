@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from bowden.sweep.sweep_table import lines_of
 from parameters import InputError
 
-CONTROLLER = "gait.controller"
+CONTROLLER, TUNING = "gait.controller", "gait.tuning"
 ERROR = "true_relative_rmse_percent"
 IDLE = "true_max_idle_tension_n"
 JUMP = "true_peak_jump_n"
@@ -48,16 +48,22 @@ def read(path: Path) -> list[dict[str, str]]:
     if CONTROLLER not in header or ERROR not in header:
         raise InputError(f"{path}: has no columns {CONTROLLER} and {ERROR}; give the table of a bowden sweep.")
     rows = [dict(zip(header, line, strict=True)) for line in lines if len(line) == len(header)]
-    if len({row[CONTROLLER] for row in rows}) < 2:
-        raise InputError(f"{path}: has trials of {len({row[CONTROLLER] for row in rows})} controller; sweep several, "
-                         "such as --grid controller=paper,extended.")
+    names = {name_of(row) for row in rows}
+    if len(names) < 2:
+        raise InputError(f"{path}: has trials of {len(names)} controller; sweep several, such as --grid "
+                         "controller=paper,extended, or values of its parameters.")
     return rows
+
+
+def name_of(row: Mapping[str, str]) -> str:
+    """Return a row's controller with the values of its own parameters."""
+    return f"{row[CONTROLLER]} {row.get(TUNING, '')}".rstrip()
 
 
 def ranked(rows: Sequence[Mapping[str, str]]) -> list[RankedController]:
     """Return the controllers of a sweep's rows, the best first."""
-    names = dict.fromkeys(row[CONTROLLER] for row in rows)
-    found = [_of(name, [row for row in rows if row[CONTROLLER] == name]) for name in names]
+    names = dict.fromkeys(map(name_of, rows))
+    found = [_of(name, [row for row in rows if name_of(row) == name]) for name in names]
     return sorted(found, key=lambda one: (one.completed < one.trials, math.inf if one.error_percent is None
                                           else one.error_percent, one.controller))
 
@@ -89,7 +95,7 @@ def draw(rows: Sequence[Mapping[str, str]], path: Path) -> None:
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     for place, one in enumerate(order):
-        errors = _known([row for row in rows if row[CONTROLLER] == one.controller and row["outcome"] == "completed"],
+        errors = _known([row for row in rows if name_of(row) == one.controller and row["outcome"] == "completed"],
                         ERROR)
         axes.plot(errors, [place] * len(errors), "o", color="tab:blue", alpha=0.4)
         if one.error_percent is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import BrokenExecutor, as_completed
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -71,6 +71,9 @@ def each(trials: Sequence[Path], given: Given, workers: run.Workers, update: Cal
     asked = {workers.executor.submit(perform, trial, given): trial for trial in trials}
     told: dict[Path, Mapping[str, Any]] = {}
     for future in as_completed(asked):
-        told[asked[future]] = future.result()
+        try:
+            told[asked[future]] = future.result()
+        except BrokenExecutor:
+            raise InputError(f"{asked[future]}: {run.ENDED}; give fewer --workers, or shorter trials.") from None
         update(len(told) / len(asked))
     return {str(trial): told[trial] for trial in trials}

@@ -12,6 +12,7 @@ import hashlib
 import json
 import math
 import tempfile
+import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,8 +66,8 @@ def identify(bench: Row, what: str = "all", guess: Calibration | None = None) ->
             found, *_ = identification.perform(
                 what, sections, guess, chosen(bench), Path(folder, "identification.mcap"),
                 date=datetime.date.today().isoformat())
-        except InputError as error:
-            return str(error), ""
+        except Exception as error:  # a plug-in's, too: it ends this bench's rows, not the sweep
+            return reason_of(error), ""
     return (found.reason, "") if found.calibration is None else (None, write(found.calibration))
 
 
@@ -81,12 +82,22 @@ def perform(row: Row, calibration: str, label: str, keep: str | None) -> dict[st
             found = _figures(row, calibration, place, Path(folder))
         except InputError as error:
             return not_run("refused", str(error))
+        except Exception as error:  # a plug-in's, or a fault of this program: it ends this row, not the sweep
+            return not_run("failed", reason_of(error))
     found["trial"] = "" if keep is None else found["trial"]
     if label:
         found["calibration"] = label
     defined = {name: None if isinstance(value, float) and not math.isfinite(value) else value
                for name, value in found.items()}
     return defined | {COMMIT: provenance.commit()}
+
+
+def reason_of(error: Exception) -> str:
+    """Return an exception as one sentence: an `InputError` as it is, any other with its kind and place."""
+    if isinstance(error, InputError):
+        return str(error)
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__} in {last.filename}, line {last.lineno}: {' '.join(str(error).split())[:300]}"
 
 
 def not_run(outcome: str, reason: str) -> dict[str, Any]:

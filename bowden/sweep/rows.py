@@ -97,10 +97,22 @@ def kinds() -> Mapping[str, type[Any]]:
             for table, cls in tables.items() for key, _, _ in declarations(cls)}
 
 
+OWN = "controller."
+"""Beginning of the names of parameters that a controller declares itself."""
+
+
+def kind_of(name: str) -> type[Any]:
+    """Return the type of a parameter; one of a controller's own is a number."""
+    return float if name.startswith(OWN) else kinds()[name]
+
+
 def full_name(name: str) -> str:
-    """Return "table.key" of a parameter; raises `InputError` for one that nobody declares."""
+    """Return "table.key" of a parameter; raises `InputError` for one that nobody declares.
+
+    Names of a controller's own parameters are checked with the controller of each row.
+    """
     found = SHORT.get(name, name)
-    if found not in kinds():
+    if found not in kinds() and not found.startswith(OWN):
         close = difflib.get_close_matches(name, [*SHORT, *kinds()], n=1)
         hint = f"did you mean {close[0]}?" if close else "see bowden init for the names of bench.toml."
         raise InputError(f"{name}: no parameter has that name; {hint}")
@@ -109,7 +121,7 @@ def full_name(name: str) -> str:
 
 def value(name: str, text: str) -> Value:
     """Return the value of the parameter `name` from its text; raises `InputError`."""
-    kind = kinds()[name]
+    kind = kind_of(name)
     try:
         return typing.cast(Value, kind(text.strip()))
     except ValueError:
@@ -123,7 +135,7 @@ def axis(text: str) -> tuple[str, list[Value]]:
     found: list[Value] = []
     for part in values.split(","):
         low, dash, high = part.partition("-")
-        if kinds()[name] is int and dash and low:
+        if kind_of(name) is int and dash and low:
             found += range(int(value(name, low)), int(value(name, high)) + 1)
         else:
             found.append(value(name, part))
@@ -137,7 +149,7 @@ def draw(text: str) -> Draw:
     name, limits = _split(text, "--draw", "NAME=LOW:HIGH")
     low, _, rest = limits.partition(":")
     high, _, log = rest.partition(":")
-    if kinds()[name] is str or not high or log not in ("", "log"):
+    if kind_of(name) is str or not high or log not in ("", "log"):
         raise InputError(f"--draw {text}: expected a number's NAME=LOW:HIGH, or NAME=LOW:HIGH:log; mend it.")
     drawn = Draw(name, float(value(name, low)), float(value(name, high)), log == "log")
     if not drawn.low < drawn.high or (drawn.logarithmic and drawn.low <= 0):
@@ -173,7 +185,28 @@ def rows(
             for point in itertools.product(*(values for _, values in axes))]
     drawn = _drawn(draws, count, seed)
     varied = frozenset(names).union(fixed)
-    return [checked_row({**base, **fixed, **point, **more}, varied) for point in grid for more in drawn]
+    whole = [_tuned({**base, **fixed, **point, **more}) for point in grid for more in drawn]
+    for name in names:
+        if name.startswith(OWN) and all(row[name] == "" for row in whole):
+            raise InputError(f"{name}: no controller of this sweep declares that parameter; see docs/controllers.md.")
+    distinct = {tuple(row.items()): row for row in whole}
+    return [checked_row(row, varied) for row in distinct.values()]
+
+
+def _tuned(row: Row) -> Row:
+    """Return a row with the controller's own parameters in `gait.tuning`; those that it does not declare are "".
+
+    Rows of one controller that differ in another controller's parameters become equal.
+    """
+    given = {name: value for name, value in row.items() if name.startswith(OWN)}
+    if not given:
+        return row
+    kind = controller.find(str(row["gait.controller"]), where="gait")
+    declared = {name for name, _, _ in declarations(kind.parameters)} if kind.parameters else set()
+    own = {name: value for name, value in given.items() if name.removeprefix(OWN) in declared}
+    text = ", ".join(filter(None, (str(row["gait.tuning"]),
+                                   *(f"{name.removeprefix(OWN)}={value:g}" for name, value in own.items()))))
+    return {**row, **{name: own.get(name, "") for name in given}, "gait.tuning": text}
 
 
 def _drawn(draws: Sequence[Draw], count: int, seed: int) -> list[Row]:
@@ -185,7 +218,7 @@ def _drawn(draws: Sequence[Draw], count: int, seed: int) -> list[Row]:
 
 
 def _between(each: Draw, u: float) -> Value:
-    if kinds()[each.name] is int:
+    if kind_of(each.name) is int:
         return int(each.low + u * (each.high - each.low + 1))
     if each.logarithmic:
         return float(each.low * (each.high / each.low) ** u)
@@ -199,6 +232,23 @@ def table(row: Row, name: str) -> Any:
     if name == "network":
         given["bench"] = declaration.from_json(str(row[DECLARED]), where=DECLARED)
     return checked(cls(**given), where=name)
+
+
+def placed(row: Row) -> Row:
+    """Return a row whose files and plug-ins in files have whole paths, so that a worker in another folder finds them.
+
+    A plug-in "module:Class" in the current folder becomes the path of that module's file.
+    """
+    found = dict(row)
+    for name in ("gait.controller", "bench.plant"):
+        module, colon, attribute = str(row[name]).rpartition(":")
+        file = Path(module if module.endswith(".py") else f"{module.replace('.', '/')}.py")
+        if colon and file.is_file():
+            found[name] = f"{file.resolve()}:{attribute}"
+    for name in ("files.knee", "files.desired", "files.calibration"):
+        if row[name] not in ("", NOMINAL, IDENTIFIED):
+            found[name] = str(Path(str(row[name])).resolve())
+    return found
 
 
 def plant_model(row: Row) -> dict[str, dict[str, Value]]:
@@ -225,7 +275,8 @@ def checked_row(row: Row, varied: Container[str]) -> Row:
         gait = reference(row, varied)[1]
         row |= {"gait.period_s": gait.period_s, "gait.peak_n": gait.peak_n}
     gait = table(row, "gait")
-    controller.find(gait.controller, where="gait")
+    kind = controller.find(gait.controller, where="gait")
+    controller.own_parameters(kind, gait.tuning, where=f"controller {gait.controller}")
     if gait.settle >= gait.cycles:
         raise InputError(f"settle = {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
     steady(bench.steady.replace("+", ","))

@@ -10,35 +10,45 @@ import importlib
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import ExitStack, contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from bowden.sweep import row_trial
-from bowden.sweep.rows import IDENTIFIED, Row
+from bowden.sweep.rows import IDENTIFIED, Row, placed
 from bowden.sweep.sweep_table import SweepTable
 from parameters import InputError
 
 CONNECT_S = 10
+ENDED = "the process that ran it ended by itself: out of memory, or a plug-in that ends it"
+"""Reason of a row that ended its process when it ran alone."""
 TLS_FILES = ("ca.pem", "cert.pem", "key.pem")
 """Files of `--scheduler-tls`: the authority's certificate, this client's own, and its key."""
 
 
 class Workers(NamedTuple):
-    """Who does the work, and how many trials they do at a time."""
+    """Executor of the trials, and how many trials it runs at a time.
+
+    `renewed` returns another executor after a process of the first one ended; None if it recovers by itself.
+    """
 
     executor: Executor
     at_once: int
+    renewed: Callable[[], Executor] | None = None
 
 
 @contextmanager
 def local(count: int | None = None) -> Iterator[Workers]:
     """Yield processes on this machine, by default as many as it has processors."""
     count = count or os.cpu_count() or 1
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_aside) as executor:
-        yield Workers(executor, count)
+    with ExitStack() as pools:
+        def pool() -> Executor:
+            return pools.enter_context(
+                ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_aside))
+
+        yield Workers(pool(), count, pool)
 
 
 def _aside() -> None:
@@ -113,6 +123,7 @@ class _Sweep:
     def __init__(self, rows: Sequence[Row], table: SweepTable, workers: Workers, calibrations: Path, keep: str | None,
                  update: Callable[[float], None]) -> None:
         self.table, self.workers, self.folder, self.keep, self.update = table, workers, calibrations, keep, update
+        self.executor, self.suspects = workers.executor, deque[tuple[str, Row]]()
         self.texts: dict[str, str] = {}
         self.waiting: dict[str, list[Row]] = {}
         self.jobs: deque[tuple[str, Row]] = deque()
@@ -143,11 +154,14 @@ class _Sweep:
 
     def all(self) -> None:
         """Run all pending rows."""
-        while self.jobs or self.under_way:
-            while self.jobs and len(self.under_way) <= self.workers.at_once:
+        while self.jobs or self.suspects or self.under_way:
+            if self.suspects and not self.under_way:
+                self._submit(*self.suspects.popleft())
+            while self.jobs and not self.suspects and len(self.under_way) <= self.workers.at_once:
                 self._submit(*self.jobs.popleft())
             for future in wait(self.under_way, return_when=FIRST_COMPLETED).done:
-                self._take(future)
+                if future in self.under_way:  # not if a broken process has put it back
+                    self._take(future)
 
     def wind_up(self) -> None:
         """Cancel rows that have not begun, and enter running ones when they are done."""
@@ -155,28 +169,54 @@ class _Sweep:
             if future.cancel():
                 del self.under_way[future]
         for future in wait(self.under_way).done:
-            self._take(future)
+            if not isinstance(future.exception(), BrokenExecutor):
+                self._take(future)
 
     def _submit(self, name: str, row: Row) -> None:
-        submit = self.workers.executor.submit
+        submit = self.executor.submit
         if "files.calibration" in row:
             label = str(self.folder / name) if name else ""
-            self.under_way[submit(row_trial.perform, row, self.texts.get(name, ""), label, self.keep)] = name, row
+            future: Future[Any] = submit(
+                row_trial.perform, placed(row), self.texts.get(name, ""), label, self.keep)
         else:
-            self.under_way[submit(row_trial.identify, row)] = name, row
+            future = submit(row_trial.identify, row)
+        self.under_way[future] = name, row
 
     def _take(self, future: Future[Any]) -> None:
         name, row = self.under_way.pop(future)
+        try:
+            result = future.result()
+        except BrokenExecutor:
+            result = self._broken(name, row)
+            if result is None:
+                return
         if "files.calibration" in row:
-            self._finished(row, future.result())
+            self._finished(row, {**result, "controller": result["controller"] and row["gait.controller"]})
             return
-        reason, text = future.result()
+        reason, text = result
         rows = self.waiting.pop(name)
         if reason is None:
             self._keep_calibration(name, text)
             self.jobs.extendleft((name, each) for each in reversed(rows))
         for each in rows if reason is not None else ():
             self._finished(each, row_trial.not_run("not identified", reason))
+
+    def _broken(self, name: str, row: Row) -> Any:
+        """Return the result of a job that ended its process, None to run it once more.
+
+        A process that ends breaks every job under way: they run again, one at a time, and the one that is alone when it
+        happens again is the cause.
+        """
+        jobs = [(name, row), *self.under_way.values()]
+        alone = len(jobs) == 1
+        self.under_way.clear()
+        if self.workers.renewed is None:
+            raise InputError(f"the sweep stopped: {ENDED}; the same command goes on from the rows that are done.")
+        self.executor = self.workers.renewed()
+        if not alone:
+            self.suspects.extend(jobs)
+            return None
+        return row_trial.not_run("failed", ENDED) if "files.calibration" in row else (ENDED, "")
 
     def _keep_calibration(self, name: str, text: str) -> None:
         self.texts[name] = text

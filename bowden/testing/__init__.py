@@ -14,6 +14,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from bowden import own_packages
+
 if TYPE_CHECKING:
     from bowden.testing.can_bus import BusFrame, CanBus
     from bowden.testing.canopen_node import CanopenNode
@@ -31,6 +33,9 @@ __all__ = ["BusFrame", "CanBus", "CanopenNode", "assert_same_frames", "assert_sa
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'bowden.testing' has no attribute {name!r}")
+    hidden = own_packages.hidden()
+    if hidden is not None:
+        raise ImportError(f"bowden.testing.{name}: {hidden}")
     found = getattr(importlib.import_module(f"bowden.testing.{_HOMES[name]}"), name)
     globals()[name] = found
     return found

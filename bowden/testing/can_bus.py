@@ -11,8 +11,11 @@ import random
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import can
 
 from bowden.testing import golden
 from bowden.testing.canopen_node import CanopenNode, DriveLoad
@@ -25,6 +28,7 @@ from parameters import InputError
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
 from virtual_bus.kernel import TIMER
+from virtual_bus.serve import ServeFigures, serve
 from virtual_bus.wire.bits import BITRATES
 from virtual_bus.wire.station import ErrorKind, Station
 
@@ -140,6 +144,19 @@ class CanBus:
     def send(self, cob_id: int, data: bytes = b"", *, remote: bool = False) -> None:
         """Send a frame from a further station of the bus, ready now."""
         self._recorder.submit(Frame(cob_id, bytes(data), remote), self.now_ns)
+
+    def serve(self, bus: can.BusABC, clock: Callable[[], int], stop: Callable[[], bool], *,
+              echoes: bool = False) -> ServeFigures:
+        """Boot the nodes on another python-can bus, in wall time by `clock` (ns), until `stop()`; return the figures.
+
+        The virtual wire ends with it; `faults` act on the frames of that bus. `echoes`: the bus returns its own frames.
+        """
+        self.wire.detach(self._recorder)
+        for node in self._nodes:
+            node.station.powered(False, self.now_ns)
+            self._bench.nodes[node.node_id] = node.station
+            self.kernel.at(self.now_ns, TIMER, partial(node.station.powered, True, self.now_ns))
+        return serve(bus, self._bench, clock, stop, echoes=echoes, judge=self.faults)
 
     def close(self) -> None:
         """Shut down every python-can bus that `open` gave."""

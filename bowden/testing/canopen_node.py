@@ -18,15 +18,15 @@ from eds.datatype import DataType, Value, decode, encode
 from eds.dictionary import PACKAGED, Dictionary, Entry, key, packaged, read
 from eds.files import check
 from eds.files.notation import object_section
-from nodes import Application, Device, Drive, TensionSensor
+from nodes import Application, Device
 from nodes.core.objects import fits
 from parameters import InputError
-from physics.drive_loops import DRIVE_TICK_NS
 from virtual_bus.kernel import TICK
 from virtual_bus.wire.node_station import NodeStation
 
 if TYPE_CHECKING:
     from bowden.testing.can_bus import CanBus
+    from nodes import Drive
 
 ObjectName = int | tuple[int, int] | str
 """An object: index, (index, sub-index), the EDS's name, or hexadecimal text such as "1018:01"."""
@@ -94,13 +94,21 @@ class CanopenNode:
         self.bus = bus
         self.dictionary = dictionary
         self._behaviour = Behaviour(profile or Application())
-        self.device = Device(dictionary, node_id, self._behaviour, store=store)
+        try:
+            self.device = Device(dictionary, node_id, self._behaviour, store=store)
+        except InputError as error:
+            if not hasattr(profile, "tick"):
+                raise
+            raise InputError(f"{str(error).rstrip('.')}; for any EDS there is nodes.GenericDrive().") from None
         self.station = SwitchedStation(bus, self.device, turnaround_ns)
         self._names = {entry.name.lower(): at for at, entry in reversed([*dictionary.entries.items()])}
         self._mechanics = mechanics
-        if isinstance(profile, Drive):
+        if hasattr(profile, "tick"):
+            from physics.drive_loops import DRIVE_TICK_NS
+
+            self._tick_ns = DRIVE_TICK_NS
             self._mechanics = mechanics or Inertia()
-            self._drive, self._torque = profile, 0.0
+            self._drive, self._torque = cast("Drive", profile), 0.0
             bus.kernel.at(bus.now_ns, TICK, self._tick)
 
     def __repr__(self) -> str:
@@ -225,7 +233,7 @@ class CanopenNode:
     def sample(self, counts: int, status: int = 0) -> None:
         """Return a `nodes.TensionSensor` its next converter value, −2²³ … 2²³ − 1."""
         sensor = self._behaviour.profile
-        if not isinstance(sensor, TensionSensor):
+        if not hasattr(sensor, "sample"):
             raise InputError(f"node {self.node_id}: sample() needs "
                              "profile=nodes.TensionSensor(); give the node that profile.")
         sensor.sample(self.bus.now_ns, counts, status)
@@ -251,10 +259,10 @@ class CanopenNode:
     def _tick(self) -> None:
         now_ns = self.bus.now_ns
         if self._mechanics is not None and self.station.on:
-            position, velocity = self._mechanics.step(self._torque, DRIVE_TICK_NS)
+            position, velocity = self._mechanics.step(self._torque, self._tick_ns)
             self._torque = self._drive.tick(now_ns, position, velocity)
             self.station.settle(now_ns)
-        self.bus.kernel.at(now_ns + DRIVE_TICK_NS, TICK, self._tick)
+        self.bus.kernel.at(now_ns + self._tick_ns, TICK, self._tick)
 
 
 def _read(given: str | Path | Dictionary, node_id: int | None) -> tuple[Dictionary, tuple[str, ...]]:

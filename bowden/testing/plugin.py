@@ -35,6 +35,11 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def can_bus(request: pytest.FixtureRequest) -> Iterator[CanBus]:
     """A virtual CAN bus for this test alone, at 0 ns; its seed is that of the test's name."""
+    from bowden import own_packages
+
+    hidden = own_packages.hidden()
+    if hidden is not None:
+        pytest.fail(f"bowden.testing: {hidden}", pytrace=False)
     from bowden.testing.can_bus import CanBus
 
     marker = request.node.get_closest_marker("can_bus")

@@ -1,13 +1,17 @@
 """Waiting in bus time: what `CanBus.virtual_time` puts in place of the clocks and waits of one thread.
 
 The rule of this file: only the thread that entered is concerned, and a wait runs the bus instead of blocking. The
-functions of `time`, `threading.Condition.wait` (under `Queue.get` and `Event.wait` too) and `can.Notifier` are
-replaced while the context is open; names imported from them before (`from time import sleep`) are not.
+functions of `time`, `threading.Condition.wait` (under `Queue.get` and `Event.wait` too), the waits of asyncio's loops
+and `can.Notifier` are replaced while the context is open; names imported from them before (`from time import sleep`)
+are not.
 """
 
 from __future__ import annotations
 
+import asyncio
+import math
 import queue
+import selectors
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence, Sized
@@ -25,8 +29,17 @@ STUCK_READS: Final = 1_000_000
 _real_wait = threading.Condition.wait
 _real_init = canopen.Network.__init__
 _real_notifier = can.Notifier
+_SELECTORS: Final[dict[Any, Any]] = {
+    kind: kind.select for kind in (getattr(selectors, name, None) for name in (
+        "EpollSelector", "KqueueSelector", "SelectSelector")) if kind is not None}
+"""The waits of asyncio's loops, by kind of selector."""
 _CLOCKS: Final = ("time", "monotonic", "perf_counter")
 _REAL: Final = {name: getattr(time, name) for name in (*_CLOCKS, *(f"{name}_ns" for name in _CLOCKS), "sleep")}
+
+
+def waiting_ns(seconds: float) -> int:
+    """Return a wait in whole nanoseconds, rounded up: a wait of any length lets time pass, or loops on it never end."""
+    return max(0, math.ceil(seconds * 1e9))
 
 
 class VirtualTime:
@@ -39,6 +52,7 @@ class VirtualTime:
         self._thread = threading.get_ident()
         self._notifiers: list[TurnNotifier] = []
         self._networks: list[Any] = []
+        self._tasks: set[Any] = set()
         self._readings, self._read_at_ns = 0, -1
 
     # ---- entering and leaving ----
@@ -54,6 +68,8 @@ class VirtualTime:
         for module, name in ((queue, "time"), (threading, "_time")):
             setattr(module, name, time.monotonic)
         threading.Condition.wait = _wait  # type: ignore[assignment]
+        for kind in _SELECTORS:
+            kind.select = _select
         can.Notifier = _notifier  # type: ignore[assignment,misc]
         canopen.Network.__init__ = _init  # type: ignore[assignment,method-assign]
 
@@ -63,6 +79,8 @@ class VirtualTime:
         for module, name in ((queue, "time"), (threading, "_time")):
             setattr(module, name, _REAL["monotonic"])
         threading.Condition.wait = _real_wait  # type: ignore[method-assign]
+        for kind, select in _SELECTORS.items():
+            kind.select = select
         can.Notifier = _real_notifier  # type: ignore[misc]
         canopen.Network.__init__ = _real_init  # type: ignore[method-assign]
         VirtualTime.current = None
@@ -94,23 +112,31 @@ class VirtualTime:
             return
         if seconds < 0:
             raise ValueError("sleep length must be non-negative")
-        self.turn(self.kernel.now_ns + round(seconds * 1e9), lambda: False)
+        self.turn(self.kernel.now_ns + waiting_ns(seconds), lambda: False)
 
     # ---- waiting ----
 
     def turn(self, until_ns: int, done: Callable[[], bool]) -> None:
         """Run the bus and hand out its messages up to `until_ns` or until `done()`."""
-        kernel = self.kernel
         while not done():
-            if self._hand_out():
-                continue
-            if kernel.now_ns >= until_ns:
-                return
-            if until_ns == NEVER and kernel.next_ns() == NEVER:
-                raise RuntimeError(f"{self._channel}: a wait without time-out can never end, for nothing more will "
-                                   "happen on the bus")
-            over = Over(done, [bus._queue for bus, _ in self._served()])
-            kernel.run(until_ns if until_ns != NEVER else kernel.next_ns(), over)
+            if not self._hand_out():
+                if self.kernel.now_ns >= until_ns:
+                    return
+                self._advance(until_ns, done)
+
+    def turn_once(self, until_ns: int, done: Callable[[], bool]) -> None:
+        """Run the bus up to `until_ns`, to the first message that is handed out, or until `done()`."""
+        while not done() and not self._hand_out() and self.kernel.now_ns < until_ns:
+            self._advance(until_ns, done)
+
+    def _advance(self, until_ns: int, done: Callable[[], bool]) -> None:
+        """Run the bus up to `until_ns`, to the first message that waits, or until `done()`."""
+        kernel = self.kernel
+        if until_ns == NEVER and kernel.next_ns() == NEVER:
+            raise RuntimeError(f"{self._channel}: a wait without time-out can never end, for nothing more will "
+                               "happen on the bus")
+        over = Over(done, [bus._queue for bus, _ in self._served()])
+        kernel.run(until_ns if until_ns != NEVER else kernel.next_ns(), over)
 
     def _served(self) -> Iterable[tuple[BowdenBus, Sequence[Any]]]:
         """Return the buses somebody listens to, each with its listeners."""
@@ -129,7 +155,11 @@ class VirtualTime:
         bus, listeners = list(self._served())[min(waiting)[1]]
         message = bus._queue.popleft()
         for listener in list(listeners):
-            listener(message)
+            answer = listener(message)
+            if asyncio.iscoroutine(answer):
+                task = asyncio.ensure_future(answer, loop=asyncio.get_running_loop())
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
         return True
 
 
@@ -205,6 +235,19 @@ def _init(network: Any, *given: Any, **options: Any) -> None:
         current._networks.append(network)
 
 
+def _select(selector: Any, timeout: float | None = None) -> Any:
+    """Wait in an asyncio loop as its selector does, but run the bus in place of blocking."""
+    current, loop = VirtualTime.current, asyncio._get_running_loop()
+    real = next(select for kind, select in _SELECTORS.items() if isinstance(selector, kind))
+    if current is None or not current.mine or loop is None or getattr(loop, "_selector", None) is not selector:
+        return real(selector, timeout)
+    ready = real(selector, 0)
+    if not ready and (timeout is None or timeout > 0):
+        until_ns = NEVER if timeout is None else current.kernel.now_ns + waiting_ns(timeout)
+        current.turn_once(until_ns, lambda: bool(loop._ready))  # type: ignore[attr-defined]
+    return ready
+
+
 def _starts_a_thread(condition: Any) -> bool:
     """Return whether this is the wait of `Thread.start`, which ends in wall time."""
     return any(thread._started._cond is condition for thread in list(threading._limbo))  # type: ignore[attr-defined]
@@ -221,7 +264,7 @@ def _wait(condition: Any, timeout: float | None = None) -> bool:
     waiter.acquire()
     condition._waiters.append(waiter)
     saved = condition._release_save()
-    until_ns = NEVER if timeout is None else current.kernel.now_ns + max(0, round(timeout * 1e9))
+    until_ns = NEVER if timeout is None else current.kernel.now_ns + waiting_ns(timeout)
     try:
         current.turn(until_ns, lambda: not waiter.locked())
     finally:

@@ -101,10 +101,12 @@ def run(
     """
     prepared = (experiment or Experiment()).prepared(bus or buses.simulated(), progress)
     if output is not None:
-        return Trial(output, session.perform(prepared, Path(output), overwrite=overwrite, progress=progress))
+        figures = session.perform(prepared, Path(output), overwrite=overwrite, progress=progress)
+        return Trial(figures["trial"] or output, figures)
     folder = TemporaryFolder()
     path = folder.path / "trial.mcap"
-    trial = Trial(path, session.perform(prepared, path, progress=progress))
+    figures = session.perform(prepared, path, progress=progress)
+    trial = Trial(figures["trial"] or path, figures)
     folder.hand_to(trial.recorded)
     return trial
 

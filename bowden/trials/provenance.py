@@ -33,6 +33,7 @@ def metadata(experiment: ExperimentSetup, script: str = "") -> dict[str, str]:
     return {
         "experiment": script or "gait",
         "controller": gait.controller,
+        **({"tuning": gait.tuning} if gait.tuning else {}),
         **({"controller_model": ", ".join(compensated)} if compensated else {}),
         "calibration": Path(experiment.calibration.label).name,
         "peak_n": repr(gait.peak_n),

@@ -9,7 +9,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -236,6 +236,7 @@ def perform(
     from bowden.bench import monitor_program
     from bowden.pages import figures as report
     from bowden.trials import provenance
+    from master.cycle.safety import Condition
     from master.network.link import Link
     from trial.record import Recorder
 
@@ -247,7 +248,7 @@ def perform(
     output_files.refuse([output, truth, picture], overwrite=overwrite)
     compile_laws(simulated=simulated, progress=progress)
     planned = prepared.planned()
-    with opened(prepared.chosen, network, truth=truth) as bus:
+    with ExitStack() as after, opened(prepared.chosen, network, truth=truth) as bus:
         monitor_program.refuse_other(bus.tap, bus.clock, network.monitor)
         recorder = Recorder(output, metadata={"bus": prepared.chosen.told, **_session_of(prepared),
                                               **provenance.metadata(prepared.experiment, prepared.script),
@@ -268,8 +269,9 @@ def perform(
                 sink.event(bus.clock(), "host", "master", sentence)
             try:
                 result = planned.run(Link(bus.bus, bus.clock), bus.tap, sink)
-            except InputError as error:  # of a plant's plug-in: what was recorded until then is kept
+            except Exception as error:  # of a plant's plug-in, or a fault of this program
                 recorder.close({"outcome": "stopped", "stop_reason": str(error)})
+                after.callback(set_aside, output, truth)
                 raise
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
@@ -281,11 +283,26 @@ def perform(
                 path.unlink(missing_ok=True)
         return report.refused(prepared.experiment, result, wall_s, serial=prepared.chosen.serial, simulated=simulated)
     kept = recorder.failure is None
+    if kept and not watch and (result.stop_reason or "").startswith(Condition.CONTROLLER.value):
+        output, truth = set_aside(output, truth)
     figures = report.figures(prepared.experiment, result, output, truth, wall_s, serial=prepared.chosen.serial,
                              simulated=simulated, kept=kept, progress=progress, paths=prepared.paths)
     if picture is not None and kept:
         report.picture(output, picture, prepared.experiment)
     return figures
+
+
+def set_aside(output: Path, truth: Path | None) -> tuple[Path, Path | None]:
+    """Rename the recording of a trial whose plug-in failed, so that the next try finds its name free.
+
+    Returns the new paths, "….failed.mcap"; the recording of an earlier failure is replaced.
+    """
+    failed = output.with_name(f"{output.stem}.failed.mcap")
+    aside = None if truth is None else output.with_name(f"{output.stem}.failed.truth.mcap")
+    for path, new in ((output, failed), (truth, aside)):
+        if path is not None and new is not None and path.exists():
+            path.replace(new)
+    return failed, aside
 
 
 def _session_of(prepared: Prepared) -> dict[str, str]:

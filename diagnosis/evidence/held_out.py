@@ -123,7 +123,7 @@ def blocks_of(tables: Sequence[Table], trials: Sequence[Recording]) -> list[NDAr
 def cycles_of(table: Table, block_s: float = 2.0) -> Array:
     """Return the cycle number of each sample; without cycle numbers, blocks of `block_s`, about one gait cycle.
 
-    The last block holds what is left of the trial, too.
+    The last block also holds the remainder of the trial.
     """
     if "cycle" in table:
         return np.asarray(np.floor(np.nan_to_num(table["cycle"])))

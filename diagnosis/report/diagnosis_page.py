@@ -16,8 +16,13 @@ from diagnosis.report.plots import AFTER, BEFORE
 from diagnosis.report.residuals import where
 from estimation.data.table import Table
 from physics.effects.catalogue import CATALOGUE
+from trial.report import bench_drawing
 from trial.report.page import Page, Tile, number
 
+VERDICTS: Final = ("Changed:", "The trial agrees", "The data depart")
+"""Beginnings of the sentence of the headline that states the verdict."""
+TO_DO: Final = ("To separate", "Mend ", "bowden identify", "Run bowden identify")
+"""Beginnings of the sentences of the headline that state the next step."""
 KINDS: Final = {"none": "good", "found": "warn", "ambiguous": "warn", "unexplained": "bad", "refused": "bad"}
 
 
@@ -43,15 +48,15 @@ def build(
     stated = f" · every signal low-passed at {found.lowpass_hz:g} Hz, no phase" if found.lowpass_hz is not None else ""
     page = Page(f"Diagnosis of {names}", f"against {_against(found)}{stated}",
                 badge=(found.verdict, KINDS.get(found.verdict, "plain")))
-    sides = found.traces
-    _first(page, found)
-    if not found.candidates:
-        residual_picture.section(page, found)
+    sides, named, turning = found.traces, bool(found.causes), trials[0].turning
+    _first(page, found, trials)
     _summary(page, found)
-    plots.measured(page, sides, "Measured against simulated", "time_s")
-    plots.residuals(page, sides, trials[0].turning)
+    if not found.candidates:
+        residual_picture.section(page, found, turning)
+    plots.measured(page, sides, "Measured against simulated", "time_s", named=named)
+    plots.residuals(page, sides, turning, named=named)
     if holdout:
-        plots.measured(page, found.held_traces, "Held-out trials", "held-out time_s")
+        plots.measured(page, found.held_traces, "Held-out trials", "held-out time_s", named=named)
     if tracked is not None:
         tracking.section(page, *tracked, (BEFORE, AFTER))
     if not found.candidates:
@@ -68,11 +73,40 @@ def _against(found: Findings) -> str:
             "healthy": "reference trials"}.get(found.reference, found.reference)
 
 
-def _first(page: Page, found: Findings) -> None:
-    """Add the first section: the fault, its cost in N and the next step."""
+def _first(page: Page, found: Findings, trials: Sequence[Table]) -> None:
+    """Add the first section: verdict, drawing with the changed part, loop, errors, and the next step."""
     page.section("What is wrong")
-    for sentence in headline(found):
+    sentences = list(headline(found))
+    todo = [sentence for sentence in sentences if sentence.startswith(TO_DO)]
+    said = [sentence for sentence in sentences if sentence not in todo]
+    lead = next((sentence for sentence in said if sentence.startswith(VERDICTS)), said[0] if said else "")
+    page.text(lead, "lead")
+    if found.verdict != "refused":
+        sites = {cause["site"] for cause in found.causes} or {CATALOGUE[name].site for name in found.rivals}
+        page.drawing("The rig by its columns" if found.of_rig else "The bench by its columns",
+                     bench_drawing.svg({name for trial in trials for name in trial.columns}, sites,
+                                       of_rig=found.of_rig))
+        if not found.candidates:
+            residual_picture.loop_section(page, found, trials[0].turning)
+    figure_tables.errors(page, found)
+    for sentence in said:
+        if sentence != lead:
+            page.text(sentence)
+    page.heading("What to do")
+    for sentence in todo or [_next(found)]:
         page.text(sentence)
+
+
+def _next(found: Findings) -> str:
+    """Return the next step where the headline has none."""
+    if found.verdict == "none":
+        return "Nothing to mend by these data."
+    if found.causes and not found.of_rig:
+        return (f"Look at the {found.causes[0]['site']}. bowden diagnose … -o extended.toml and bowden verify "
+                "extended.toml show what control loses by it.")
+    if found.causes:
+        return f"Look at the {found.causes[0]['site']}, and record again after the repair."
+    return "Look where the simulation misses most, below, and record that motion again, slower and with other loads."
 
 
 def _summary(page: Page, found: Findings) -> None:

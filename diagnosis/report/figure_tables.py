@@ -13,7 +13,20 @@ from diagnosis.findings import Findings
 from diagnosis.report.headline import healthy_value
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
-from trial.report.page import Cell, Page
+from trial.report.page import Cell, Named, Page
+from trial.report.words import words
+
+
+def errors(page: Page, found: Findings) -> None:
+    """Add the errors of each compared signal: between reference trials, of the reference condition, and as named."""
+    if not found.relations or found.candidates:
+        return
+    page.heading("Error of the simulation, RMS on cycles that no fit has seen")
+    columns = ("signal", "unit", "reference trials", "this trial, reference condition", "with what is named")
+    rows = [(Named(words(name), name), f.unit, f.floor, f.rmse_before, f.rmse_after)
+            for name, f in found.relations.items()]
+    count = len(columns) if found.causes else len(columns) - 1
+    page.table(columns[:count], [row[:count] for row in rows])
 
 
 def relations(page: Page, found: Findings) -> None:
@@ -21,11 +34,11 @@ def relations(page: Page, found: Findings) -> None:
     page.heading("Root mean square on cycles that no fit has seen")
     if found.candidates:
         page.table(("signal", "unit", "healthy floor", "simulated on the nominal calibration"),
-                   [(key, f.unit, f.floor, f.rmse_before) for key, f in found.relations.items()])
+                   [(Named(words(key), key), f.unit, f.floor, f.rmse_before) for key, f in found.relations.items()])
         return
     page.table(("signal", "unit", "healthy floor", "before", "after", "gain (%)", "95 % low", "high", "held-out before",
-                "after"), [(key, f.unit, f.floor, f.rmse_before, f.rmse_after, f.gain_percent, f.low, f.high,
-                            f.holdout_before, f.holdout_after) for key, f in found.relations.items()])
+                "after"), [(Named(words(key), key), f.unit, f.floor, f.rmse_before, f.rmse_after, f.gain_percent, f.low,
+                            f.high, f.holdout_before, f.holdout_after) for key, f in found.relations.items()])
     page.text("Before: the reference condition as identified. After: with the named effects. Floor: what reference "
               "trials miss of each other. Held out: trials given with --holdout, to which nothing was fitted.", "note")
 

@@ -14,36 +14,36 @@ from diagnosis.compared_signals import Compared
 from diagnosis.report.residuals import binned, bins_of, by_direction, joined, rms
 from trial.report.packing import broken
 from trial.report.page import Page, Series
+from trial.report.words import hand, words
 
 BEFORE, AFTER, MEASURED = "#c2410c", "#2563eb", "#6b7280"
-SIDES: Final = (
-    ("gait_percent", "phase", "gait_percent (%)"), ("tension_start_n", "load", "tension_start_n (N)"),
-    ("knee_angle_rad", "knee angle", "knee_angle_rad (rad)"), ("servo_position_m", "rope", "servo_position_m (m)"),
-    ("time_s", "time", "time_s (s)"),
-)
-"""Signals along which residuals are plotted: name, word in the title, label of the axis."""
+SIDES: Final = (("gait_percent", "gait phase", "%"), ("tension_start_n", "START", "N"),
+                ("knee_angle_rad", "knee angle", "rad"), ("servo_position_m", "rope", "m"), ("time_s", "time", "s"))
+"""Signals along which residuals are plotted: name, words, unit."""
 MEANING: Final = {
-    "tension_start_n": "START from rope and knee motion", "tension_end_n": "END from rope and knee motion",
-    "servo_force_n": "the servo's force from motion and START"}
-"""By output: the predicted signal and its inputs, in words."""
+    "tension_start_n": "from rope and knee motion", "tension_end_n": "from rope and knee motion",
+    "servo_force_n": "from motion and START"}
+"""By output: the inputs of its prediction, in words."""
 
 
-def measured(page: Page, sides: Mapping[str, Sequence[Compared]], title: str, linked: str) -> None:
+def measured(page: Page, sides: Mapping[str, Sequence[Compared]], title: str, linked: str, *, named: bool) -> None:
     """Add plots of each output for the first trial: the whole trial, and its cycle with the largest error.
+
+    `named`: an effect is named, so that the simulation with it is drawn, too.
     """
     page.section(title)
     parts_of = {name: parts for name, parts in sides.items() if parts}
     if not parts_of:
-        page.text("No relation was searched.", "note")
+        page.text("No signal was compared.", "note")
         return
     many = max(len(parts) for parts in parts_of.values()) > 1
-    page.text("Each relation predicts one signal from others: before, as the simulation was; after, with what was "
-              "found in it." + (" The first trial is drawn; the figures are of all." if many else ""), "note")
+    page.text("Each signal is simulated from others." + (
+        " The first trial is drawn; the figures are of all." if many else ""), "note")
     for name, (first, *_) in parts_of.items():
-        page.heading(f"{name}: {MEANING.get(name, first.output)}")
         whole = np.ones(first.measured.size, dtype=np.bool_)
-        _drawn(page, f"{name}: {first.output}", first, whole, linked)
-        _drawn(page, f"{name}: the cycle that is missed most", first, _worst(first), f"{linked}, one cycle of {name}")
+        _drawn(page, f"{words(name)}, simulated {MEANING.get(name, 'from the others')}", first, whole, linked, named)
+        _drawn(page, f"{words(name)}: the cycle with the largest error", first, _worst(first),
+               f"{linked}, one cycle of {name}", named)
 
 
 def _worst(one: Compared) -> np.ndarray[Any, Any]:
@@ -53,46 +53,48 @@ def _worst(one: Compared) -> np.ndarray[Any, Any]:
     return np.asarray(cycle == int(np.argmax(squares / np.maximum(counts, 1))))
 
 
-def _drawn(page: Page, title: str, one: Compared, shown: np.ndarray[Any, Any], linked: str) -> None:
+def _drawn(page: Page, title: str, one: Compared, shown: np.ndarray[Any, Any], linked: str, named: bool) -> None:
     columns, time = [one.measured, one.measured - one.before, one.measured - one.after], one.along("time_s")
     gap = 1.5 * float(np.median(np.diff(time)))  # one sample or more is missing
     time, lines = broken(time[shown], [column[shown] for column in columns], gap)
-    page.plot(title, time, [
-        Series("measured", lines[0], MEASURED, width=2.2),
-        Series("simulated before", lines[1], BEFORE, width=1.0, dash=True),
-        Series("simulated after", lines[2], AFTER, width=1.0)],
-        "time_s (s)", one.unit, linked=linked, height=220)
+    drawn = [Series("measured", lines[0], MEASURED, width=2.2, tip=one.output),
+             Series("reference condition", lines[1], BEFORE, width=1.0, dash=named, tip=one.output),
+             Series("with what is named", lines[2], AFTER, width=1.0, tip=one.output)]
+    page.plot(title, time, drawn if named else drawn[:2], "time (s)", one.unit, linked=linked, height=220)
 
 
-def residuals(page: Page, sides: Mapping[str, Sequence[Compared]], turning: bool = False) -> None:
+def residuals(page: Page, sides: Mapping[str, Sequence[Compared]], turning: bool = False, *, named: bool) -> None:
     """Add plots of the residual of each output along each recorded signal of `SIDES`.
 
-    `turning`: the position is an angle.
+    `turning`: the position is an angle.  `named`: an effect is named, so that the residual with it is drawn, too.
     """
     page.section("Residuals")
     if not any(sides.values()):
-        page.text("No relation was searched.", "note")
+        page.text("No signal was compared.", "note")
         return
     page.text("Measured less simulated. Lines are the mean in each bin, bands its root mean square either side of "
               "zero; what is left after follows no axis where the model has everything.", "note")
     for name, parts in sides.items():
-        page.heading(name)
+        page.heading(words(name))
         _by_direction(page, parts)
         unit = parts[0].unit
-        for signal, word, axis in SIDES:
+        for signal, word, si in SIDES:
             along, before, after = joined(parts, signal)
             if along.size and float(np.ptp(along)) > 0.0:
-                centres = binned(along, before, bins_of(along.size))[0]
                 if turning and signal == "servo_position_m":
-                    word, axis = "angle", "servo_position_rad (rad)"
-                page.plot(f"{name} by {word}", centres, _banded(along, before, after), axis, unit,
-                          linked=f"{signal} bins", height=190)
-        _loops(page, name, parts)
+                    word, si = "angle", "rad"
+                shown, factor = hand(si)
+                centres = factor * binned(along, before, bins_of(along.size))[0]
+                page.plot(f"{words(name)} by {word}", centres, _banded(along, before, after, named),
+                          f"{word} ({shown})", unit, linked=f"{signal} bins", height=190)
+        _loops(page, name, parts, named)
 
 
-def _banded(along: np.ndarray[Any, Any], before: np.ndarray[Any, Any], after: np.ndarray[Any, Any]) -> list[Series]:
+def _banded(along: np.ndarray[Any, Any], before: np.ndarray[Any, Any], after: np.ndarray[Any, Any], named: bool
+            ) -> list[Series]:
     series = []
-    for label, residual, colour in (("before", before, BEFORE), ("after", after, AFTER)):
+    sides = (("reference condition", before, BEFORE), ("with what is named", after, AFTER))
+    for label, residual, colour in sides if named else sides[:1]:
         _, mean, square = binned(along, residual, bins_of(along.size))
         series += [Series(label, -square, colour, high=square, width=0.3), Series(label, mean, colour, width=1.8)]
     return series
@@ -103,12 +105,13 @@ def _by_direction(page: Page, parts: Sequence[Compared]) -> None:
     before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in ("before", "after"))
     unit = parts[0].unit
     if masks:
-        page.table(("rope", "samples", f"mean before ({unit})", "after", f"rms before ({unit})", "after"), [
+        page.table(("rope", "samples", f"mean, reference ({unit})", "mean, named", f"RMS, reference ({unit})",
+                    "RMS, named"), [
             (word, int(mask.sum()), float(before[mask].mean()), float(after[mask].mean()), rms(before[mask]),
              rms(after[mask])) for word, mask in masks.items() if mask.any()])
 
 
-def _loops(page: Page, name: str, parts: Sequence[Compared]) -> None:
+def _loops(page: Page, name: str, parts: Sequence[Compared], named: bool) -> None:
     """Add a plot of the mean residual over load, with separate lines for the rope pulled and paid out.
 
     In this plot friction opens a loop, and a wrong gain gives a slope.
@@ -121,9 +124,10 @@ def _loops(page: Page, name: str, parts: Sequence[Compared]) -> None:
     for word, dash in (("pulled", False), ("paid out", True)):
         if not masks[word].any():
             continue
-        for label, residual, colour in (("before", before, BEFORE), ("after", after, AFTER)):
+        sides = (("reference condition", before, BEFORE), ("with what is named", after, AFTER))
+        for label, residual, colour in sides if named else sides[:1]:
             mean = binned(load[masks[word]], residual[masks[word]], bins, span)[1]
             series.append(Series(f"{word}, {label}", mean, colour, dash=dash))
     centres = binned(load, before, bins)[0]
-    page.plot(f"{name} by load and direction", centres, series, "tension_start_n (N)", parts[0].unit,
+    page.plot(f"{words(name)} by START and direction", centres, series, "START (N)", parts[0].unit,
               linked="tension_start_n bins", height=190)

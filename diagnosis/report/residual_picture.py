@@ -1,6 +1,6 @@
-"""The two main plots of a diagnosis: residual over the gait before and after, and the force loop START over END.
+"""The two main plots of a diagnosis: the force loop, and the residual of the output with the largest gain.
 
-The residual is that of the output with the largest gain.  Curves are bin means; nothing is smoothed.
+The loop is START over END, or force over position where END is not recorded.  Curves are bin means, not smoothed.
 """
 
 from __future__ import annotations
@@ -16,10 +16,16 @@ from diagnosis.findings import Findings
 from diagnosis.report.headline import strongest
 from diagnosis.report.plots import AFTER, BEFORE, MEASURED
 from diagnosis.report.residuals import binned, bins_of, joined
+from trial.report.loop import Loop, picture
 from trial.report.page import Page, Series
+from trial.report.words import hand, words
 
 Array = NDArray[np.float64]
-ALONG: Final = (("gait_percent", "gait_percent (%)", "gait phase"), ("time_s", "time_s (s)", "time"))
+ALONG: Final = (("gait_percent", "%", "gait phase"), ("servo_position_m", "m", "position"), ("time_s", "s", "time"))
+"""Signals along which the residual is drawn, the first one that varies: name, unit, word in the title."""
+FORCES: Final = ("tension_start_n", "servo_force_n", "tension_end_n")
+"""Outputs whose loop is drawn, the first one that was compared."""
+REFERENCE, NAMED = "simulated: reference condition", "simulated: with what is named"
 
 
 class MeanResidual(NamedTuple):
@@ -47,49 +53,93 @@ class ForceLoop(NamedTuple):
     after: Array
 
 
-def section(page: Page, found: Findings) -> None:
-    """Add both plots to the page, or a note if no output was searched."""
-    one = residual(found)
+def section(page: Page, found: Findings, turning: bool = False) -> None:
+    """Add the residual of the output with the largest gain, or a note if none was compared."""
+    one = residual(found, turning)
     if one is None:
         page.text("No signal was compared, so there is no picture.", "note")
         return
-    page.heading(f"The strongest relation, {one.relation}: measured less simulated over {one.word}")
-    page.text("Residual: measured less simulated. Thick line: mean in each bin. Band: its root mean square either side "
-              "of zero. Before: the reference condition as identified; after: with the named effects.", "note")
+    page.heading(f"Where the simulation misses most: {words(one.relation)} over {one.word}")
+    page.text("Measured less simulated. Thick line: mean in each bin. Band: its root mean square either side of zero.",
+              "note")
     series = []
-    for label, (mean, square), colour in (("before", one.before, BEFORE), ("after", one.after, AFTER)):
-        series += [Series(label, -square, colour, high=square, width=0.3), Series(label, mean, colour, width=2.2)]
-    page.plot(f"{one.relation}: residual over {one.word}, before and after", one.centres, series, one.axis, one.unit,
-              height=280)
-    drawn = loops(found.traces)
-    if not drawn:
+    sides = ((REFERENCE, one.before, BEFORE), (NAMED, one.after, AFTER))
+    for label, (mean, square), colour in sides if found.causes else sides[:1]:
+        series += [Series(label, -square, colour, high=square, width=0.3, tip=one.relation),
+                   Series(label, mean, colour, width=2.2, tip=one.relation)]
+    page.plot(f"{words(one.relation)}: measured less simulated", one.centres, series, one.axis, one.unit, height=280)
+
+
+def loop_section(page: Page, found: Findings, turning: bool = False) -> None:
+    """Add the loop of the first compared force: START over END, else the force over the position."""
+    name = next((name for name in FORCES if found.traces.get(name)), next(iter(found.traces), None))
+    parts = [] if name is None else found.traces[name]
+    if name is None or not parts:
         return
-    page.heading("The loop: START over END")
-    page.text("The mean gait cycle, up to its peak and down again. Friction opens the loop, a gain turns it, an offset "
-              "shifts it.", "note")
-    lines = [Series(f"{which}, {one.direction}", values, colour, width=width, dash=one.direction == "tension falling")
-             for one in drawn for which, values, colour, width in (
-                 ("measured", one.measured, MEASURED, 4.0), ("before", one.before, BEFORE, 1.2),
-                 ("after", one.after, AFTER, 1.2))]
-    page.plot("START over END, tension rising and falling", drawn[0].end_n, lines, "tension_end_n (N)", "N", height=300)
+    over = "tension_end_n" if name == "tension_start_n" and np.isfinite(parts[0].along("tension_end_n")).all() \
+        else "servo_position_m"
+    x, *lines = _cycle(parts, over)
+    if not np.isfinite(x).any() or float(np.ptp(x[np.isfinite(x)])) <= 0.0:
+        return
+    unit = "N" if over == "tension_end_n" else "rad" if turning else "m"
+    shown, factor = hand(unit)
+    across, up = ("position" if turning else words(over)), words(name)
+    sides = (("measured", MEASURED, 4.5), (REFERENCE, BEFORE, 1.8), (NAMED, AFTER, 1.8))
+    page.heading(f"The loop: {up} over {across}")
+    page.text("Friction opens the loop, a gain turns it, an offset shifts it."
+              + (" The mean gait cycle." if _walks(parts) else ""), "note")
+    page.drawing(f"{up} over {across}", picture(
+        [Loop(label, factor * x, line, colour, width) for (label, colour, width), line in zip(
+            sides if found.causes else sides[:2], lines, strict=False)],
+        f"{across} ({shown})", f"{up} ({parts[0].unit})", f"{up} over {across}"))
 
 
-def residual(found: Findings) -> MeanResidual | None:
-    """Return the residual of the output with the largest gain, over gait phase, else over time.
+def _walks(parts: Sequence[Compared]) -> bool:
+    """Return whether every trial has a gait phase that varies."""
+    phase = np.concatenate([p.along("gait_percent") for p in parts])
+    return bool(np.isfinite(phase).all()) and float(np.ptp(phase)) > 0.0
 
-    None if no output was compared.
+
+def _cycle(parts: Sequence[Compared], over: str, most: int = 1500) -> tuple[Array, Array, Array, Array]:
+    """Return a signal, and the measured output and both simulated ones along it, in the order of time.
+
+    They are means over the gait phase, closed; without a gait, the first `most` samples of the first trial.
+    """
+    if not _walks(parts):
+        first, end = parts[0], min(most, parts[0].measured.size)
+        return (first.along(over)[:end], first.measured[:end], (first.measured - first.before)[:end],
+                (first.measured - first.after)[:end])
+    phase, x = (np.concatenate([p.along(name) for p in parts]) for name in ("gait_percent", over))
+    measured, before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in (
+        "measured", "before", "after"))
+    bins = max(1, min(200, phase.size // 3))
+    place = np.clip((phase / 100.0 * bins).astype(np.intp), 0, bins - 1)
+    count = np.bincount(place, minlength=bins)
+    full = count > 0
+    means = [np.bincount(place, values, bins)[full] / count[full]
+             for values in (x, measured, measured - before, measured - after)]
+    a, b, c, d = (np.append(mean, mean[0]) for mean in means)
+    return a, b, c, d
+
+
+def residual(found: Findings, turning: bool = False) -> MeanResidual | None:
+    """Return the residual of the output with the largest gain, over gait phase, else position or time.
+
+    None if no output was checked or compared.
     """
     best = strongest(found)
     if best is None or not found.traces.get(best[0]):
         return None
     name, parts = best[0], found.traces[best[0]]
-    for signal, axis, word in ALONG:
+    for signal, si, word in ALONG:
+        unit, factor = hand("rad" if turning and si == "m" else si)
         along, before, after = joined(parts, signal)
         if along.size and float(np.ptp(along)) > 0.0:
             bins = bins_of(along.size)
             centres, mean, square = binned(along, before, bins)
             _, mended, left = binned(along, after, bins)
-            return MeanResidual(name, parts[0].unit, axis, word, centres, (mean, square), (mended, left))
+            return MeanResidual(name, parts[0].unit, f"{word} ({unit})", word, factor * centres, (mean, square),
+                                (mended, left))
     return None
 
 

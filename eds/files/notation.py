@@ -48,13 +48,41 @@ def value(data_type: DataType, text: str | None, node_id: int | None = None) -> 
     if data_type.integer:
         return _wrapped(data_type, number(text, node_id))
     if data_type is DataType.VISIBLE_STRING:
-        return text.encode("latin-1", "replace")
+        return _octets(text)
     if data_type is DataType.UNICODE_STRING:
-        return text.encode("utf-16-le")
+        return text.encode("utf-16-le", "surrogatepass")
     try:
         return float(text) if data_type.real else bytes.fromhex(text)
     except ValueError:
         return None
+
+
+def text_of(data_type: DataType, held: Value) -> str | None:
+    """Return the text that `value` reads as `held`; None for octets that no text of the type gives.
+
+    Strings are text; octet strings, times and domains are hexadecimal octets.
+    """
+    if data_type.integer:
+        return str(held)
+    if data_type.real:
+        return repr(held)
+    assert isinstance(held, bytes)
+    if data_type is DataType.VISIBLE_STRING:
+        codings: tuple[str, ...] = ("utf-8", "latin-1")
+    elif data_type is DataType.UNICODE_STRING:
+        codings = ("utf-16-le",)
+    else:
+        return held.hex(" ").upper()
+    texts = (held.decode(coding, "ignore") for coding in codings)
+    return next((text for text in texts if value(data_type, text) == held), None)
+
+
+def _octets(text: str) -> bytes:
+    """Return the octets of a VISIBLE_STRING: Latin-1, and UTF-8 for text beyond Latin-1."""
+    try:
+        return text.encode("latin-1")
+    except UnicodeEncodeError:
+        return text.encode("utf-8", "surrogatepass")
 
 
 def limit(data_type: DataType, text: str | None, node_id: int | None = None) -> int | None:

@@ -19,7 +19,7 @@ from parameters import InputError
 from parameters.files import refuse_special
 from physics.laws import Array
 from physics.plant.leg import KNEE_AT_FIT
-from trial import paths
+from trial import paths, slow_columns
 from trial.convert.csv_table import offer
 from trial.convert.sheets import ENDINGS, sheet_of
 from trial.signals import MOTION_AND_FORCE, of_path
@@ -153,9 +153,10 @@ def table(
         _refuse_mixed(source, columns, turning)
     ignored = sorted(set(columns) - set(known) - {DEGREE_ALIAS, *TURNING})
     notes = (f"columns not known, not used: {', '.join(ignored)}",) if ignored else ()
-    whole, known = known, _numbered(known)
-    first = int(np.argmax(whole["cycle"] >= 0.0)) if known is not whole else 0
-    return Table(source, known, _digest(known), calibration, notes=notes, turning=bool(turning),
+    whole, inside = known, _numbered(known)
+    first = int(np.argmax(whole["cycle"] >= 0.0)) if inside is not whole else 0
+    known, slow = _on_rows(inside)
+    return Table(source, known, _digest(known), calibration, notes=(*notes, *slow), turning=bool(turning),
                  volts="motor_voltage_v" in columns, before={n: v[:first] for n, v in whole.items()} if first else {})
 
 
@@ -199,6 +200,16 @@ def _numbered(columns: dict[str, Array]) -> dict[str, Array]:
     cycle = kept["cycle"]
     last = np.maximum.accumulate(np.where(cycle >= 0.0, np.arange(cycle.size), 0))
     return {**kept, "cycle": cycle[last]}
+
+
+def _on_rows(columns: dict[str, Array]) -> tuple[dict[str, Array], list[str]]:
+    """Return signals recorded at a lower rate than the rows on every row, and a sentence on each of them."""
+    made, sentences = dict(columns), []
+    for name in _signals(columns):
+        made[name], step = slow_columns.on_rows(columns["time_s"], columns[name])
+        if step is not None:
+            sentences.append(f"{name} is recorded every {step:.3g} s, the rows are closer: a line between two values")
+    return made, sentences
 
 
 def _digest(columns: Mapping[str, Array]) -> str:

@@ -8,6 +8,7 @@ bowden.controllers or as "module:Class". Effects beyond the calibration can be c
 from __future__ import annotations
 
 import re
+import typing
 from abc import abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -18,7 +19,7 @@ from master.control.controller_io import Column, ControllerInput, ControllerOutp
 from master.control.effect_correction import Correction
 from master.control.gait_table import GaitTable
 from master.settings import Impedance
-from parameters import InputError
+from parameters import InputError, from_table
 from parameters.plugins import load
 from physics.calibration import Calibration
 from trial.signals import UNITS, Signal
@@ -42,11 +43,12 @@ State = TypeVar("State")
 class Conditions(NamedTuple):
     """Settings of a controller in addition to the model and the gait.
 
-    `homing`: the homing fit of this session; the default before homing.
+    `homing`: the homing fit of this session; the default before homing.  `own`: the controller's own `parameters`.
     """
 
     impedance: Impedance
     homing: HomingFit = HomingFit()
+    own: Any = None
 
 
 class Controller(Protocol[State]):
@@ -57,12 +59,15 @@ class Controller(Protocol[State]):
 
     `slack_share`: share of the configured idle slack while no force is desired. `uses_homing_fit`: it takes friction,
     stretch and START's offset from `Conditions.homing`, else from the model. `columns`: further columns in the trial.
-    `ahead`: control cycles after the step at which a target acts, as the controller assumes.
+    `ahead`: control cycles after the step at which a target acts, as the controller assumes. `parameters`: a frozen
+    dataclass that declares the controller's own parameters with `parameters.parameter`; its values are
+    `Conditions.own`.
     """
 
     slack_share: ClassVar[float] = 1.0
     uses_homing_fit: ClassVar[bool] = False
     columns: ClassVar[tuple[Column, ...]] = ()
+    parameters: ClassVar[type[Any] | None] = None
     ahead: int = 0
 
     @classmethod
@@ -110,6 +115,40 @@ def _check(name: str, kind: Any) -> None:
             raise InputError(f"controller {name!r}: {column.name!r} is {why}; give small letters, digits and _, unlike "
                              "any signal of /cycle.")
         taken.add(column.name)
+
+
+def own_parameters(kind: Kind, tuning: str, *, where: str) -> Any:
+    """Return a controller's own parameters with the values of `tuning` ("kp=40, ki=2"), checked; None without any.
+
+    Raises `InputError`, beginning with `where`, for a name that the controller does not declare and for values beyond
+    the declared bounds.
+    """
+    declared = getattr(kind, "parameters", None)
+    given = dict(_assigned(part, where) for part in tuning.split(",") if part.strip())
+    if declared is None:
+        if given:
+            raise InputError(f"{where}: this controller declares no parameters, so {', '.join(given)} cannot be set; "
+                             "see docs/controllers.md.")
+        return None
+    hints = typing.get_type_hints(declared)
+    return from_table(declared, {name: _typed(hints.get(name), text) for name, text in given.items()}, where=where)
+
+
+def _assigned(part: str, where: str) -> tuple[str, str]:
+    name, equals, value = part.partition("=")
+    if not equals or not _NAME.fullmatch(name.strip()) or not value.strip():
+        raise InputError(f"{where}: {part.strip()!r} is no NAME=VALUE; write for instance kp=40.")
+    return name.strip(), value.strip()
+
+
+def _typed(kind: Any, text: str) -> Any:
+    """Return a value in its declared type; the text if it is of another."""
+    try:
+        if kind is int:
+            return int(float(text)) if float(text).is_integer() else float(text)
+        return float(text) if kind is float else {"true": True, "false": False}[text] if kind is bool else text
+    except (ValueError, OverflowError, KeyError):
+        return text
 
 
 def signals(kind: Kind) -> tuple[Signal, ...]:

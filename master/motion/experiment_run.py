@@ -133,6 +133,7 @@ class Planned:
         chosen, rate_hz = experiment.gait, experiment.network.rate_hz
         calibration, rest = calibrated(experiment.calibration, experiment.known)
         self.kind = controller.find(chosen.controller, where="gait")
+        self.own = controller.own_parameters(self.kind, chosen.tuning, where=f"controller {chosen.controller}")
         refuse_beyond_validity(calibration, experiment.reference.peak_n)
         refuse_beyond_limits(experiment)
         knee, desired = gait.sampled(experiment.reference, samples_of(experiment.reference.period_s, rate_hz))
@@ -189,7 +190,7 @@ class Planned:
         """The chosen controller over a gait table, on the day that homing found."""
         day = self.homed.day if self.homed else HomingFit()
         return controller.with_effects(
-            self.kind, self.calibration, table, Conditions(self.impedance, day), self.undone[id(table)])
+            self.kind, self.calibration, table, Conditions(self.impedance, day, self.own), self.undone[id(table)])
 
     def perform(self, exchange: Exchange) -> None:
         """Enable, home and walk; with `dry_run` only the walk, on drives that are off."""

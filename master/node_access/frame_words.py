@@ -23,6 +23,7 @@ from eds.cia301 import (
     NmtCommand,
 )
 from eds.cia305 import LSS_REQUEST, LSS_RESPONSE, LssCommand
+from eds.cia402 import text_of
 from eds.dictionary import Dictionary, key
 from eds.emcy_codes import emcy_text
 from eds.pdo_plan import PdoPlan, compile_plan
@@ -140,7 +141,9 @@ class FrameReader:
         except struct.error:
             return FrameWords("pdo", known.node_id,
                               f"{known.name}: {len(data)} bytes in place of {plan.size}: {data.hex(' ')}")
-        shown = [_value(name, value, unit) for (name, unit), value in zip(known.objects, values, strict=True)]
+        fields = [field for field in plan.fields if not field.dummy]
+        shown = [_value(name, value, unit, field.key)
+                 for (name, unit), field, value in zip(known.objects, fields, values, strict=True)]
         return FrameWords("pdo", known.node_id, f"{known.name}: {', '.join(shown)}")
 
     def _emcy(self, node: int, data: bytes) -> FrameWords:
@@ -242,7 +245,7 @@ class FrameReader:
         entry = None if one is None else one.entries.get(transfer.at)
         kind = None if entry is None else entry.data_type
         value = object_text.value_of(kind, bytes(transfer.data))
-        shown = object_text.shown(value, kind, self.units.get(node, {}).get(transfer.at))
+        shown = object_text.shown(value, kind, self.units.get(node, {}).get(transfer.at), transfer.at)
         return f"SDO {'write' if transfer.download else 'read'} {self._named(node, transfer.at)} = {shown}"
 
     def _named(self, node: int, at: int) -> str:
@@ -286,7 +289,9 @@ def of_wire(layout: WireLayout) -> FrameReader:
     return FrameReader(dictionaries, known)
 
 
-def _value(name: str, value: float, scaled: tuple[float, str] | None) -> str:
+def _value(name: str, value: float, scaled: tuple[float, str] | None, at: int) -> str:
+    if words := text_of(at >> 8, value):
+        return f"{name} {value:#06x} ({words})"
     return f"{name} {value:g}" if scaled is None else f"{name} {value * scaled[0]:.6g} {scaled[1]}".rstrip()
 
 

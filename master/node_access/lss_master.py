@@ -28,15 +28,23 @@ _REFUSALS: Final = {
 }
 
 
+_HIDDEN: Final = "further devices cannot be found beside it; give it a node id, then scan again."
+_MANY_ANSWERS: Final = "a device answers what it should not; scan with fewer devices on the bus."
+
+
 class LssRefusalError(Exception):
     """A device refused an LSS request or did not answer; the text gives request and reason."""
 
 
 class LssMaster:
-    """The LSS requests of a master on a link; `answer_ns` is how long an answer is awaited."""
+    """The LSS requests of a master on a link; `answer_ns` is how long an answer is awaited.
+
+    `scan_note` is the reason for which the last scan ended early, None for a complete one.
+    """
 
     def __init__(self, link: Link, answer_ns: int = ANSWER_NS) -> None:
         self.link = link
+        self.scan_note: str | None = None
         self._answer_ns = answer_ns
 
     # ---- who is configured ----
@@ -69,14 +77,47 @@ class LssMaster:
         return LssAddress(*numbers)
 
     def scan(self) -> list[LssAddress]:
-        """Find all unconfigured slaves; they stay unconfigured."""
-        found = []
+        """Find all unconfigured slaves; they stay unconfigured.
+
+        Each identity is then confirmed by the inquiries 5Ah to 5Dh of the slave that it selects. An identity that comes
+        again, that no slave confirms, or a slave that answers every fastscan while it is in configuration makes the
+        list incomplete; `scan_note` is then the reason.
+        """
+        found: list[LssAddress] = []
+        self.scan_note = None
         try:
-            while (address := self.fastscan()) is not None:
+            while self.scan_note is None and (address := self.fastscan()) is not None:
+                if address in found:
+                    self.scan_note = f"the identity {address} came twice: {_MANY_ANSWERS}"
+                    break
                 found.append(address)
+                if self._answers_always(address):
+                    self.scan_note = f"{address} answers every fastscan while it is in configuration: {_HIDDEN}"
         finally:
             self.leave()
-        return found
+        return [address for address in found if self._confirmed(address)]
+
+    def _confirmed(self, address: LssAddress) -> bool:
+        """Return whether the slave that an identity selects has it; alone in configuration, for answers collide."""
+        try:
+            if self.select(address) and self._inquired() == address:
+                return True
+        finally:
+            self.leave()
+        self.scan_note = f"the identity {address} is confirmed by no device: {_MANY_ANSWERS}"
+        return False
+
+    def _inquired(self) -> LssAddress | None:
+        """Return the identity of the slave in configuration; None where a number is not answered."""
+        answers = [self._ask(LssCommand.INQUIRE_VENDOR + part) for part in range(4)]
+        if any(answer is None for answer in answers):
+            return None
+        return LssAddress(*(int.from_bytes(answer[1:5], "little") for answer in answers if answer is not None))
+
+    def _answers_always(self, address: LssAddress) -> bool:
+        """Return whether a slave in configuration says yes to a vendor that it is not."""
+        self._scanned(0, FASTSCAN_RESET, 0, 0)
+        return self._scanned(address.vendor ^ 0xFFFFFFFF, 0, 0, 0)
 
     def choose(self, node_id: int | None = None, address: LssAddress | None = None) -> LssAddress:
         """Switch one slave to configuration: that of `address`, of a node id, or the only unconfigured one.
@@ -90,6 +131,8 @@ class LssMaster:
                 raise InputError(f"no device of identity {address} answers LSS; give another (bowden lss scan).")
             return address
         found = self.scan()
+        if not found and self.scan_note is not None:
+            raise LssRefusalError(self.scan_note.rstrip("."))
         if len(found) != 1:
             several = f"{len(found)} devices are unconfigured ({', '.join(map(str, found))}); give one by --identity"
             raise InputError(f"{several}." if found else

@@ -10,9 +10,10 @@ from eds import dictionary
 from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from eds.dictionary import Dictionary, key
 from eds.files.notation import number
+from master.network.bus_survey import LISTEN_NS
 from master.network.link import Link
 from master.network.sdo import SdoError
-from master.node_access.remote_node import LISTEN_NS, MASTER, NodeAccess, state_name
+from master.node_access.remote_node import MASTER, NodeAccess, state_name
 from parameters import InputError
 
 ASK_1000: Final = bytes((0x40, 0x00, 0x10, 0x00, 0, 0, 0, 0))

@@ -9,6 +9,7 @@ import re
 from types import MappingProxyType
 from typing import Final
 
+from eds.cia402 import text_of
 from eds.datatype import DataType, Value, decode, encode
 from eds.dictionary import Dictionary, Entry
 from parameters import InputError
@@ -113,8 +114,11 @@ def value_of(kind: DataType | None, data: bytes) -> Value | str:
         return data
 
 
-def shown(value: Value | str | None, kind: DataType | None, scaled: tuple[float, str] | None = None) -> str:
-    """Return a value as a line shows it: decimal, hexadecimal for unsigned integers, and SI with its unit."""
+def shown(value: Value | str | None, kind: DataType | None, scaled: tuple[float, str] | None = None,
+          at: int = 0) -> str:
+    """Return a value as a line shows it: decimal, hexadecimal for unsigned integers, SI with its unit, words of CiA
+    402 for the object `at` (index << 8 | sub-index).
+    """
     if value is None:
         return "–"
     if isinstance(value, bytes):
@@ -124,6 +128,8 @@ def shown(value: Value | str | None, kind: DataType | None, scaled: tuple[float,
     text = f"{value:g}" if isinstance(value, float) else str(value)
     if isinstance(value, int) and kind is not None and kind.size > 0 and not kind.signed and kind.bits > 1:
         text += f" (0x{value:0{kind.size * 2}X})"
+    if words := text_of(at >> 8, value):
+        text += f" = {words}"
     return text if scaled is None else f"{text} = {value * scaled[0]:.6g} {scaled[1]}".rstrip()
 
 

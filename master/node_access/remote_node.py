@@ -11,20 +11,20 @@ from contextlib import suppress
 from functools import cached_property
 from typing import Final, NamedTuple
 
-from eds.cia301 import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, ErrorRegister, NmtCommand, NmtState
+from eds.cia301 import HEARTBEAT_BASE, ErrorRegister, NmtCommand, NmtState
 from eds.cia402 import Mode, state_of
 from eds.datatype import DataType, Value
 from eds.dictionary import Dictionary, Entry, key
 from eds.emcy_codes import emcy_text
 from eds.scale_factors import UNIT_OBJECTS, units
+from master.network.bus_survey import LISTEN_NS
 from master.network.link import Link
+from master.network.node_guard import guard
 from master.network.sdo import SdoError
 from master.node_access import object_text, pdo_settings
 from parameters import InputError
 
 MASTER: Final = 127
-LISTEN_NS: Final = 1_200_000_000
-"""Time for which another master is listened for: longer than the heartbeat of 1 s that most masters send."""
 SENT_NS: Final = 10_000_000
 """Time reserved for a frame's transmission before its bus is closed."""
 BOOT_NS: Final = 3_000_000_000
@@ -33,6 +33,12 @@ COMMANDS: Final = {
     "reset": NmtCommand.RESET_NODE, "reset-comm": NmtCommand.RESET_COMMUNICATION,
 }
 """NMT commands by the words of the command line."""
+_BOOTED: Final = frozenset({0, NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
+_AFTER: Final[dict[str, frozenset[int]]] = {
+    "start": frozenset({NmtState.OPERATIONAL}), "stop": frozenset({NmtState.STOPPED}),
+    "preop": frozenset({NmtState.PRE_OPERATIONAL}), "reset": _BOOTED, "reset-comm": _BOOTED,
+}
+"""State bytes that a node may show after each NMT command; a device may start by itself after a reset (0x1F80)."""
 _KNOWN: Final = {key(0x1000): DataType.UNSIGNED32, key(0x1001): DataType.UNSIGNED8,
                  key(0x1008): DataType.VISIBLE_STRING, key(0x1009): DataType.VISIBLE_STRING,
                  key(0x100A): DataType.VISIBLE_STRING, key(0x1017): DataType.UNSIGNED16,
@@ -213,17 +219,19 @@ class NodeAccess:
     # ---- NMT ----
 
     def nmt_state(self) -> str | None:
-        """Return the NMT state of the last heartbeat, or of one within 1.2 s; None where none comes."""
+        """Return the NMT state of the last heartbeat, of one within 1.2 s, or by node guarding; else None."""
         if self.node_id not in self.link.beats:
             for message in self.link.listen(LISTEN_NS):
                 if message.arbitration_id == HEARTBEAT_BASE + self.node_id:
                     break
+        if self.node_id not in self.link.beats:
+            guard(self.link, self.node_id)
         beat = self.link.beats.get(self.node_id)
         return None if beat is None else state_name(beat.state)
 
     def nmt(self, command: str) -> str | None:
-        """Command the node's NMT state and return the state of its next heartbeat; None where none comes."""
-        return nmt(self.link, self.node_id, command)
+        """Command the node's NMT state and return the state that it shows; None where it shows none."""
+        return nmt(self.link, self.node_id, command).states.get(self.node_id)
 
 
 def state_name(state: int) -> str:
@@ -232,34 +240,39 @@ def state_name(state: int) -> str:
     return "booted" if state == 0 else known.get(state, f"state {state}")
 
 
-def nmt(link: Link, node_id: int, command: str) -> str | None:
-    """Send an NMT command (`COMMANDS`) to a node, 0 for all; return the state that its next heartbeat shows.
+class NmtAnswer(NamedTuple):
+    """States that nodes showed after an NMT command, by node id; `obeyed` if each is one that the command leads to."""
 
-    After a reset the boot-up is awaited for 3 s, after another command a heartbeat for 1.2 s.
+    states: dict[int, str]
+    obeyed: bool
+
+
+def nmt(link: Link, node_id: int, command: str, shown_by: int | None = None) -> NmtAnswer:
+    """Send an NMT command (`COMMANDS`) to a node, 0 for all, and return the states that heartbeats show afterwards.
+
+    After a reset the boot-up is awaited for 3 s, after another command a heartbeat for 1.2 s; then a node without a
+    heartbeat is asked by node guarding. A single node that shows no state has not obeyed. `shown_by` is the node id
+    after the command, if LSS gave the node another one.
     """
     if command not in COMMANDS:
         raise InputError(f"nmt {command}: is no command; give one of {', '.join(COMMANDS)}.")
-    link.beats.pop(node_id, None)
+    wanted = _AFTER[command]
+    asked = [node_id] if node_id else [one for one in link.beats if one != MASTER]
+    for one in asked:
+        link.beats.pop(one, None)
     link.nmt(COMMANDS[command], node_id)
-    if not node_id:
-        link.wait(SENT_NS)
-        return None
+    node_id = shown_by or node_id
     deadline = link.clock() + (BOOT_NS if command.startswith("reset") else LISTEN_NS)
-    while node_id not in link.beats and link.receive(deadline) is not None:
-        pass
+    while not node_id or not _shows(link, node_id, wanted):
+        if link.receive(deadline) is None:
+            break
+    if node_id and node_id not in link.beats:
+        guard(link, node_id)
+    shown = [node_id] if node_id else sorted(one for one in link.beats if one != MASTER)
+    states = {one: state_name(link.beats[one].state) for one in shown if one in link.beats}
+    return NmtAnswer(states, all(_shows(link, one, wanted) for one in shown))
+
+
+def _shows(link: Link, node_id: int, wanted: frozenset[int]) -> bool:
     beat = link.beats.get(node_id)
-    return None if beat is None else state_name(beat.state)
-
-
-def other_master(link: Link) -> str | None:
-    """Listen for 1.2 s; return in words what shows that another master is on the bus, None where nothing does."""
-    link.rivals.clear()
-    for message in link.listen(LISTEN_NS):
-        can_id = message.arbitration_id
-        if can_id == HEARTBEAT_BASE + MASTER:
-            return f"its heartbeat {can_id:X}h is on the bus"
-        if can_id == NMT_COB_ID and message.is_rx:
-            return "it sends NMT commands"
-        if SDO_REQUEST_BASE < can_id <= SDO_REQUEST_BASE + 127:
-            return f"it sends SDO requests to node {can_id - SDO_REQUEST_BASE}"
-    return None
+    return beat is not None and beat.state in wanted

@@ -15,6 +15,7 @@ from eds.datatype import Value
 from eds.dictionary import Dictionary, read
 from nodes.core.application import Application
 from nodes.core.emergency import Emergency
+from nodes.core.guarding import Guarding
 from nodes.core.heartbeat import Consumer, Producer
 from nodes.core.lss_slave import LssSlave
 from nodes.core.nmt import Nmt
@@ -70,10 +71,12 @@ class Device:
         self.pdos = Pdos(self)
         self.consumer = Consumer(self)
         self.producer = Producer(self)
+        self.guarding = Guarding(self)
         self.sdo = SdoServer(self)
         self.lss = LssSlave(self, store)
         self._parts: tuple[Part, ...] = (
-            self.emcy, self.store, self.sync, self.pdos, self.consumer, self.producer, self.sdo, self.lss)
+            self.emcy, self.store, self.sync, self.pdos, self.consumer, self.producer, self.guarding, self.sdo,
+            self.lss)
         self._checks: dict[int, Check] = {}
         self._applied: dict[int, Applied] = {}
         self._commands: dict[int, Command] = {}
@@ -101,7 +104,10 @@ class Device:
         can_id, data, remote, extended, error, _dlc = frame
         if remote or extended or error:
             if remote and not extended and not error and can_id in self.filters:
-                self.pdos.requested(can_id, now_ns)
+                if can_id == self.guarding.cob_id:
+                    self.guarding.requested(now_ns)
+                else:
+                    self.pdos.requested(can_id, now_ns)
             return
         handler = self._handlers.get(can_id)
         if handler is not None:
@@ -172,6 +178,8 @@ class Device:
             if part.service in allowed:
                 self._handlers.update(part.handlers())
         wanted = frozenset(self._handlers) | self.pdos.requestable()
+        if Service.ERROR_CONTROL in allowed and (guarded := self.guarding.cob_id) is not None:
+            wanted |= {guarded}
         if wanted != self.filters:
             self.filters = wanted
 

@@ -54,6 +54,7 @@ class Producer(Part):
 
     def _configured(self, _subindex: int, _value: Value, now_ns: int) -> None:
         self._restart(now_ns)
+        self._device.listen()  # a device without a heartbeat may be guarded
 
     def _restart(self, first_ns: int) -> None:
         self._due_ns = first_ns if self._period_ns() else FAR_NS

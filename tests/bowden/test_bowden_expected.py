@@ -152,6 +152,8 @@ def test_a_plant_that_raises_in_a_trial_is_named_and_ends_with_2(here: Path, bow
     status, out, err = bowden("trial", *SHORT, "--plant", "folder/later.py:Later", "-o", "a.mcap")
     assert (status, out, "Traceback" in err) == (2, "", False)
     assert "plant 'folder/later.py:Later' raised RuntimeError (the valve is stuck) at 0.3" in err
+    assert "the valve is stuck" in (trial.open("a.failed.mcap").result or {})["stop_reason"]
+    assert sorted(path.name for path in here.glob("*.mcap")) == ["a.failed.mcap", "a.failed.truth.mcap"]
 
 
 def test_a_controller_is_found_by_the_path_of_its_file(here: Path, bowden: Bowden) -> None:

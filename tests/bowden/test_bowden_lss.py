@@ -11,6 +11,8 @@ import pytest
 
 import bowden as library
 from bowden.testing import CanBus
+from eds.cia305 import LssAddress
+from tests.foreign.lss_slave import EagerLssSlave
 
 Run = Callable[..., Any]
 
@@ -119,3 +121,22 @@ def test_lss_in_python(can_bus: CanBus) -> None:
         lss.configure_node_id(5)
     can_bus.run(0.01)
     assert node.node_id == 5
+
+
+def test_a_slave_that_answers_every_fastscan_in_configuration_is_found_once_and_assigned(
+        typed: Run, can_bus: CanBus) -> None:
+    slave = EagerLssSlave(can_bus, LssAddress(0x1AB, 0x2CD, 3, 0x45))
+    told = found(typed("scan", "--json"))
+    assert [one["identity"] for one in told["unconfigured"]] == ["1AB:2CD:3:45"]
+    assert told["note"].startswith("1AB:2CD:3:45 answers every fastscan while it is in configuration")
+    assert typed("assign", 9).stdout == "1AB:2CD:3:45 is node 9; booted.\n"
+    assert slave.node_id == 9
+
+
+def test_an_identity_that_no_inquiry_confirms_ends_the_scan(typed: Run, can_bus: CanBus) -> None:
+    EagerLssSlave(can_bus, LssAddress(1, 2, 3, 4), inquiries=LssAddress(1, 2, 3, 5))
+    told = found(typed("scan", "--json"))
+    assert told["unconfigured"] == []
+    assert told["note"].startswith("the identity 1:2:3:4 is confirmed by no device")
+    refused = typed("assign", 9)
+    assert (refused.status, "confirmed by no device" in refused.stderr) == (2, True)

@@ -96,7 +96,7 @@ def test_errors_are_in_words_and_cleared(typed: Run, can_bus: CanBus) -> None:
 def test_nmt_moves_one_node_or_all(typed: Run, can_bus: CanBus) -> None:
     assert typed("write", 5, "1017", "100").status == 0
     assert typed("nmt", 5, "start").stdout == "5: start sent; OPERATIONAL.\n"
-    assert typed("nmt", "all", "stop").stdout == "all: stop sent.\n"
+    assert typed("nmt", "all", "stop").stdout == "all: stop sent; 5 STOPPED.\n"
     assert can_bus.nodes[5].state.name == "STOPPED"
     assert typed("nmt", 5, "reset").stdout == "5: reset sent; booted.\n"
     assert typed("nmt", 5, "jump").status == 2

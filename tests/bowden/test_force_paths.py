@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -87,11 +88,14 @@ def test_a_path_has_its_report(ran: Path, recorded: Trial, bowden: Command) -> N
     page = ran / "report.html"
     assert bowden("report", ran / "trial.mcap", "--path", names(recorded)[1], "-o", page)[0] == 0
     assert "relative RMSE" in page.read_text()
+    assert bowden("report", ran / "trial.mcap", "-o", ran / "both.html")[0] == 0
+    sections = re.findall(r"<h2>([^<]*)</h2>", (ran / "both.html").read_text())
+    assert [f"{name}: Force" in sections for name in names(recorded)] == [True, True]
 
 
 def test_a_path_must_be_named(ran: Path, recorded: Trial, bowden: Command) -> None:
     one, other = names(recorded)
-    for command in (("report", "-o", ran / "none.html"), ("diagnose",), ("replay", "--onto", "controller")):
+    for command in (("diagnose",), ("replay", "--onto", "controller")):
         status, out, err = bowden(command[0], ran / "trial.mcap", *command[1:])
         assert (status, out) == (2, "")
         assert f"records the force paths {one}, {other}; name one with --path" in err

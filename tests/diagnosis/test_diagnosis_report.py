@@ -24,6 +24,7 @@ from physics.bench_model import BenchModel
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
 from trial.report.page import Page
+from trial.report.words import words
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +69,10 @@ def found(measured: Table) -> Findings:
 def test_the_page_draws_every_signal_from_every_side(found: Findings, measured: Table) -> None:
     html = build(found, [measured], [measured]).html()
     for name in found.relations:
-        sides = set(re.findall(rf'aria-label="{name} by ([a-z ]+)"', html))
-        assert sides == {"phase", "load", "knee angle", "rope", "time", "load and direction"}
-        assert f'aria-label="{name}: {name}"' in html
+        sides = set(re.findall(rf'aria-label="{re.escape(words(name))} by ([A-Za-z ]+)"', html))
+        assert sides == {"gait phase", "START", "knee angle", "rope", "time", "START and direction"}
+        assert f'aria-label="{words(name)}, simulated from rope and knee motion"' in html
+        assert f"{name}: " not in html
     assert "Held-out trials" in html
     assert "the clock is told from one column" in html
 
@@ -101,8 +103,8 @@ def test_first_come_error_cause_ambiguity_set_and_next_step(found: Findings, mea
     assert told[4] == "Constants that moved most: cable 0.13 → 0.25."
     html = build(found, [measured], []).html().partition("<main>")[2]
     first = [html.index(text) for text in (
-        "misses START and END", "mu1 0.08", "To separate them", "residual over gait phase", "START over END, tension",
-        "Root mean square on cycles", "What was tried")]
+        "mu1 0.08", 'class="bench"', "START (measured) over END (measured)", "Error of the simulation",
+        "misses START and END", "To separate them", "Root mean square on cycles", "over gait phase", "What was tried")]
     assert first == sorted(first)
 
 
@@ -177,7 +179,8 @@ def test_a_rig_of_another_kind_is_told_what_it_can_record(found: Findings, measu
     (told,) = (line for line in headline(rig) if line.startswith("To separate them"))
     assert told.startswith("To separate them, record the same strokes at three loads and at three speeds. Look at half")
     html = build(rig, [dataclasses.replace(measured, turning=True)], []).html()
-    assert "servo_position_rad (rad)" in html
+    assert '"angle (\\u00b0)"' in html
+    assert 'aria-label="drive, axis, START, transmission, joint, END; changed: transmission"' in html
     assert "likely range" not in html
 
 
@@ -222,6 +225,23 @@ def test_a_browser_shows_it_with_nothing_fetched(
     assert "" not in legends
 
 
+def test_the_changed_part_is_marked_and_nothing_is_drawn_twice(found: Findings, measured: Table, browser: Any,
+                                                               tmp_path: Path) -> None:
+    write(dataclasses.replace(found, rivals=["cable_friction"]), [measured], [], tmp_path / "a.html")
+    browser.open(tmp_path / "a.html")
+    red = browser.run("""[...document.querySelectorAll('svg.bench rect')].filter(
+        box => box.getAttribute('stroke-width') > 2).map(box => box.parentNode.querySelector('text').textContent)""")
+    assert red == ["cable"]
+    lines = "[...document.querySelectorAll('svg.loop path[fill=none]')].map(line => line.getBoundingClientRect().width)"
+    assert len(browser.run(lines)) == 3
+    assert min(browser.run(lines)) > 200
+    nothing = dataclasses.replace(found, verdict="none", causes=[], rivals=[], experiment=None)
+    write(nothing, [measured], [], tmp_path / "b.html")
+    browser.open(tmp_path / "b.html")
+    assert len(browser.run(lines)) == 2
+    assert "with what is named" not in browser.run("document.body.innerText")
+
+
 def test_the_page_is_written_whole_and_loads_nothing(found: Findings, measured: Table, tmp_path: Path) -> None:
     path = tmp_path / "diagnosis.html"
     assert write(found, [measured], [], path) == path.stat().st_size
@@ -261,5 +281,5 @@ def test_a_nominal_trial_has_no_gain(found: Findings) -> None:
     nominal = Page("a")
     nominal.section("b")
     figure_tables.relations(nominal, dataclasses.replace(found, candidates=[{"effect": "slack"}]))
-    assert "tension_start_n" in nominal.html()
+    assert '<span title="tension_start_n">START (measured)</span>' in nominal.html()
     assert "gain (%)" not in nominal.html()

@@ -13,8 +13,9 @@ from eds.bench.bench_network import SERVO, START, Network, WireLayout, wire
 from eds.cia301 import NmtCommand
 from eds.dictionary import key
 from master.cycle.log import Log
-from master.network import bringup, dcf
+from master.network import bringup
 from master.network.link import Link
+from master.node_access import dcf
 from parameters import InputError
 
 if TYPE_CHECKING:

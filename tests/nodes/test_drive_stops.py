@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from eds.cia301 import NmtCommand
-from eds.cia402 import Input, State, Status
+from eds.cia402 import Input, State, Status, Stop
 from tests.nodes.drive_rig import KNEE, MS, SERVO, TICK_NS, DriveRig
 
 ENABLED, DISABLED = State.OPERATION_ENABLED, State.SWITCH_ON_DISABLED
@@ -82,6 +82,7 @@ def test_quick_stop_5_and_6_hold_the_knee_until_it_is_enabled_or_disabled(option
 @pytest.mark.parametrize("commanded", [False, True], ids=["by 0x6007", "held before the master was lost"])
 def test_the_knees_hold_ends_ten_seconds_after_its_master_was_lost(commanded: bool) -> None:
     rig = DriveRig(KNEE).enabled()
+    rig.write(0x605A, 0, Stop.QUICK_STOP_RAMP_HOLD)
     assert rig.read(0x2018) == 10_000
     rig.target = 0
     rig.run(50)
@@ -100,6 +101,7 @@ def test_the_knees_hold_ends_ten_seconds_after_its_master_was_lost(commanded: bo
 
 def test_a_hold_time_of_zero_has_no_end_and_a_master_that_comes_back_in_time_keeps_the_hold() -> None:
     rig = DriveRig(KNEE).enabled()
+    rig.write(0x605A, 0, Stop.QUICK_STOP_RAMP_HOLD)
     rig.write(0x2018, 0, 0)
     rig.target = 0
     rig.run(50)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from trial import metrics
+from trial.low_pass import zero_phase
 
 RATE_HZ, PERIOD_S, CYCLES, PEAK_N = 1000, 2.0, 4, 40.0
 ROWS = int(RATE_HZ * PERIOD_S * CYCLES)
@@ -122,3 +125,19 @@ def test_each_cycle_has_its_own_figures_and_together_they_are_the_trials() -> No
     assert list(each[0]) == list(figures(found))
     whole = figures(found, settle=0)["relative_rmse_percent"]
     assert whole == pytest.approx(math.sqrt(np.mean([(row["relative_rmse_percent"] or 0.0) ** 2 for row in each])))
+
+
+@pytest.mark.parametrize(("rows", "rate_hz"), [(12, 200.0), (500, 1000.0)])
+def test_the_low_pass_is_scipy_s(rows: int, rate_hz: float) -> None:
+    from scipy.signal import butter, sosfiltfilt
+
+    values = np.random.default_rng(rows).normal(20.0, 5.0, rows)
+    expected = sosfiltfilt(butter(2, 20.0, fs=rate_hz, output="sos"), values)
+    np.testing.assert_allclose(zero_phase(values, 20.0, rate_hz), expected, rtol=1e-11)
+
+
+def test_a_trial_loads_no_more_of_scipy_than_numba_does() -> None:
+    script = ("import sys; import bowden.pages.figures, bowden.trials.session, master.motion.experiment_run; "
+              "print(' '.join(sys.modules))")
+    told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert not {"scipy.signal", "scipy.interpolate", "scipy.stats", "matplotlib"} & set(told.stdout.split())

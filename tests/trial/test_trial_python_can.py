@@ -159,3 +159,19 @@ def test_flags_survive_the_way_through_messages(tmp_path: Path) -> None:
         writer.on_message_received(message)
     writer.stop()
     assert np.array_equal(trial.open(tmp_path / "a.mcap").frames, trial.open(tmp_path / "b.mcap").frames)
+
+
+def test_a_trial_loads_python_can_without_pandas_and_mdf_frames_are_still_read(tmp_path: Path) -> None:
+    pytest.importorskip("asammdf")
+    log = tmp_path / "bus.mf4"
+    script = (
+        "import sys; from bowden.bench import light_can; light_can.load(); import can\n"
+        "assert 'can' in sys.modules and 'pandas' not in sys.modules and 'asammdf' not in sys.modules\n"
+        "from trial.convert.python_can import _mdf_reader, read_log\n"
+        "reader = _mdf_reader(); writer = sys.modules['can.io.mf4'].MF4Writer(sys.argv[1])\n"
+        "frame = can.Message(timestamp=1.0, arbitration_id=0x181, is_extended_id=False, data=b'ab')\n"
+        "writer.on_message_received(frame)\n"
+        "writer.stop(); from pathlib import Path; print(len(read_log(Path(sys.argv[1])).rows))\n")
+    told = subprocess.run([sys.executable, "-W", "ignore", "-c", script, str(log)], capture_output=True, text=True,
+                          check=False)
+    assert (told.returncode, told.stdout.strip()) == (0, "1"), told.stderr

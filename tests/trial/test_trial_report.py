@@ -28,6 +28,10 @@ METADATA = {"experiment": "gait", "controller": "paper", "peak_n": "40.0", "peri
 HOSTILE = "</script><script>document.title='owned'</script><img src=x onerror=\"document.title='owned'\">"
 
 
+LINE_PX = 36.0
+"""Height of a cell of one line, with its padding."""
+
+
 def frame_bits(frames: Any) -> Any:
     return 55 + 10 * frames["dlc"].astype(np.int64)
 
@@ -57,7 +61,7 @@ def write(path: Path, *, cycles: int = 3, metadata: dict[str, str] = METADATA, l
         recorder.frame(time_ns + 200_000, 0x181, bytes(8))
         recorder.frame(time_ns + 400_000, 0x581, bytes(8))
         recorder.cycle(time_ns, [values.get(name, math.nan) for name in trial.COLUMNS])
-    recorder.close({"outcome": "completed", "stop_reason": None})
+    recorder.close({"outcome": "completed", "stop_reason": None, "friction_half_width_m": 0.0008123053360643067})
     return path
 
 
@@ -147,6 +151,17 @@ def test_a_name_above_a_plot_hides_its_lines(browser: Any, written: Path) -> Non
     assert all(hidden[2:])
 
 
+def test_every_number_can_be_read(browser: Any, written: Path) -> None:
+    browser.open(written)
+    cells = browser.run("""[...document.querySelectorAll('dd, td, .value')].filter(cell => /\\d/.test(cell.textContent))
+        .map(cell => [cell.textContent, cell.getBoundingClientRect().width, cell.getBoundingClientRect().height])""")
+    assert len(cells) > 20
+    assert [text for text, width, height in cells if height > max(width, LINE_PX)] == []
+    assert "0.812 mm" in [text for text, *_ in cells]
+    shown = [text for text, *_ in cells if re.fullmatch(r"−?[\d.]+ ?[^\d.]*", text)]
+    assert [text for text in shown if len(re.sub(r"\D", "", text.partition(".")[2])) > 3] == []
+
+
 def test_text_of_the_file_stays_text(browser: Any, written: Path) -> None:
     assert HOSTILE not in written.read_text()
     assert HOSTILE in unescape(written.read_text())
@@ -166,11 +181,11 @@ def test_the_figures_are_those_of_metrics(written: Path) -> None:
 def test_what_is_not_recorded_is_named_and_not_drawn(tmp_path: Path) -> None:
     recorded = trial.open(write(tmp_path / "a.mcap", lacks="tension_end_n"))
     text = trial_page.build(recorded, frame_bits, {}, None).html()
-    assert "No figures of force: tension_end_n not known." in text
-    assert re.search(r"Not in this trial: [^<]*tension_end_n", text)
-    labels = {series["label"] for plot in data(text)["plots"] for series in plot["series"]}
-    assert "tension_start_n" in labels
-    assert not any(label.startswith("tension_end_n") for label in labels)
+    assert "No figures of force: END (measured) not known." in text
+    assert re.search(r"Not in this trial: [^<]*END \(measured\)", text)
+    tips = {series["tip"] for plot in data(text)["plots"] for series in plot["series"]}
+    assert "tension_start_n" in tips
+    assert not any(tip.startswith("tension_end_n") for tip in tips)
 
 
 def test_events_of_trouble_are_marked_where_they_happened(tmp_path: Path) -> None:
@@ -188,7 +203,7 @@ def test_the_interval_of_the_estimate_is_a_band(tmp_path: Path) -> None:
                "estimated_end_half_n": np.full(len(opened.time_ns), 1.5)}
     text = trial_page.build(dataclasses.replace(opened, columns=columns), frame_bits, {}, None).html()
     band = data(text)["plots"][0]["series"][0]
-    assert band["label"] == "estimated_end_force_n ± estimated_end_half_n"
+    assert band["label"] == "END (estimated), 95 % interval"
     np.testing.assert_allclose(array(text, band["high"]) - array(text, band["y"]), 3.0, atol=1e-5)  # float32 of 40 N
 
 
@@ -239,7 +254,8 @@ def test_a_trial_of_ten_minutes_stays_below_ten_megabytes_and_keeps_its_peak(tmp
     assert len(text) < 10_000_000
     assert f"every 30 ms ({rows} rows in {force_section.BINS} bins)" in text
     force = data(text)["plots"][0]
-    at = [series["label"] for series in force["series"]].index("tension_end_n")
+    at = [series["tip"] for series in force["series"]].index("tension_end_n")
+    assert force["series"][at]["label"] == "END (measured)"
     values = array(text, force["series"][at]["y"])
     assert values.max() == 4321.5
     assert abs(array(text, force["x"])[values.argmax()] - peak_at / 1000) <= 0.03
@@ -276,6 +292,6 @@ def test_the_summary_has_labels_in_words_and_folds_digests() -> None:
     told = {"peak_n": "40.0", "commit": "0a1b2c", "course": "ff00", "signal": 0, "day": {"offset_m": 1.0}, "notes": "",
             "my_rig": "7", "outcome": '"completed"', "stop_reason": "null",
             "friction_half_width_m": "0.0005158193832210658"}
-    assert labels.shown(told) == {"peak force (N)": "40.0", "my rig": "7", "ended": "completed",
-                                  "rope travel to reverse friction at homing (m)": "0.000515819"}
+    assert labels.shown(told) == {"peak force": "40 N", "my rig": "7", "ended": "completed",
+                                  "rope travel to reverse friction at homing": "0.516 mm"}
     assert labels.folded(told) == {"commit": "0a1b2c", "course": "ff00", "signal": 0, "day": {"offset_m": 1.0}}

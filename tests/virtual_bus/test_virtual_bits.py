@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eds.cia301 import Frame
-from virtual_bus.wire import bits
+from virtual_bus.wire import bit_counts, bits
 
 IDS = st.integers(0, 0x7FF)
 DATA = st.binary(max_size=8) | st.integers(0, 8).flatmap(
@@ -50,7 +50,7 @@ def test_the_count_is_the_length_of_the_sequence(frame: Frame) -> None:
 def test_many_frames_at_once_count_as_each_does(many: list[Frame]) -> None:
     dlc = [len(frame.data) if frame.dlc is None else frame.dlc for frame in many]
     data = np.frombuffer(b"".join(frame.data.ljust(8, b"\xaa") for frame in many), np.uint8).reshape(-1, 8)
-    counts = bits.bits_of(
+    counts = bit_counts.bits_of(
         [frame.can_id for frame in many], dlc, data, [frame.remote for frame in many],
         [frame.extended for frame in many])
     assert counts.tolist() == [bits.frame_bits(frame) for frame in many]

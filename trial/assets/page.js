@@ -40,7 +40,7 @@
       const dash = entry.dash ? 'stroke-dasharray="5 3"' : "";
       button.type = "button";
       button.setAttribute("aria-pressed", "true");
-      button.title = "show or hide";
+      button.title = entry.tip ? `${entry.tip}; show or hide` : "show or hide";
       button.innerHTML = `<svg width="22" height="10"><path d="M0 5H22" stroke="${entry.colour}" stroke-width="2.5" ${dash}/></svg>`;
       button.append(entry.label, output);
       button.onclick = () => {

@@ -21,7 +21,7 @@ STEP_NS = 1_000_000_000  # a clock that falls back by more than this was set; by
 LATEST_NS = 2**62  # in the year 2116; sums and differences of two such times fit int64
 
 
-class Mended(NamedTuple):
+class MendedClock(NamedTuple):
     """Time stamps ≥ 0 after repair, the number of clock steps taken out, and the shift of all of them to reach 0."""
 
     times: Integers
@@ -29,13 +29,13 @@ class Mended(NamedTuple):
     shift_ns: int
 
 
-def mend(times: Integers, source: Path | str = "log") -> Mended:
+def mend(times: Integers, source: Path | str = "log") -> MendedClock:
     """Take out backward steps of the clock and negative times; what follows a step goes on where it stood.
 
     Raises `InputError` for times or sums of steps that int64 nanoseconds do not hold: a clock that leaps to and fro.
     """
     if len(times) == 0:
-        return Mended(times, 0, 0)
+        return MendedClock(times, 0, 0)
     _refuse_beyond(source, float(np.abs(times.astype(np.float64)).max()))
     rise = np.diff(times)
     back = rise < -STEP_NS
@@ -44,7 +44,7 @@ def mend(times: Integers, source: Path | str = "log") -> Mended:
     mended = times.copy()
     mended[1:] += np.cumsum(np.where(back, -rise, 0))
     shift = max(0, -int(mended.min()))
-    return Mended(mended + shift, int(back.sum()), shift)
+    return MendedClock(mended + shift, int(back.sum()), shift)
 
 
 def _refuse_beyond(source: Path | str, latest_ns: float, most_ns: float = LATEST_NS) -> None:

@@ -201,6 +201,7 @@ def _table(path: Path, sheet: LabTable) -> Contents:
                 found.remarks.append(f"row {row} of {name} is no number")
         else:
             found.columns.append(_column(name, UNITS.get(name) or sheet.unit(name), sheet.column(name)))
+    found.remarks += [f"{name} is left out: {why}" for name, why in sheet.left_out.items()]
     _clock(sheet, found)
     if "time_s" not in sheet:
         found.remarks.append(f"no column time_s: {offer(path)}")

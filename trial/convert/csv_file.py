@@ -37,7 +37,7 @@ _COMMA_INSIDE = re.compile(r"\d,\d")
 
 @dataclass(frozen=True)
 class Dialect:
-    """Format of a CSV file, the table [csv] of a map; an empty or −1 entry is detected."""
+    """Format of a CSV file or workbook, the table [csv] of a map; an empty or −1 entry is detected."""
 
     encoding: str = parameter("", "", "such as utf-8, utf-16 or cp1252; detected where empty", source="the map file")
     delimiter: str = parameter("", "", "one character; \"\\t\" is a tab; detected where empty", source="the map file")
@@ -45,6 +45,7 @@ class Dialect:
     comment: str = parameter("", "", "what a comment line begins with; # % // where empty", source="the map file")
     header_row: int = parameter(-1, "1", "row of the columns' names, 0 for none; detected where -1", low=-1,
                                 source="the map file")
+    sheet: str = parameter("", "", "sheet of a workbook; the first one with a table where empty", source="the map file")
     units_row: int = parameter(-1, "1", "row of the units, 0 for none; detected where -1", low=-1,
                                source="the map file")
 

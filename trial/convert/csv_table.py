@@ -102,7 +102,8 @@ def columns_of(sheet: LabTable, mapped: Mapping[str, SignalSource] | None = None
     unknown = int(sum(np.isnan(column).sum() for column in columns.values()))
     return Columns(
         columns, {"rows": len(sheet), "unknown_values": unknown, **sheet.counts},
-        [name for name in sheet.names if name not in taken], sheet.rows, sheet.said,
+        [*(name for name in sheet.names if name not in taken),
+         *(f"{name} ({why})" for name, why in sheet.left_out.items())], sheet.rows, sheet.said,
         sheet.begins_ns.get(sources["time_s"].column))
 
 

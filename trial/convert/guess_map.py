@@ -28,24 +28,30 @@ def _words(text: str) -> frozenset[str]:
 
 
 FORCE = _words("force forces tension load loadcell cell kraft zugkraft seilkraft newton f fx fz effort fuerza carga "
-               "traccion li lali zhangli")
+               "traccion li lali zhangli suoli shengli")
 TARGET = _words("target desired reference ref set setpoint command commanded cmd soll demand goal consigne consigna "
                 "objetivo deseada mubiao")
 ROPE = _words("rope cable wire tendon bowden motor servo drum winch actuator position pos displacement disp stroke "
                  "weg seil seilweg length travel enc encoder moteur corde deplacement course posicion desplazamiento "
-                 "recorrido weizhi weiyi shengsuo dianji")
+                 "recorrido weizhi weiyi shengsuo gangsi lasheng dianji xingcheng")
 SPEED = _words("velocity vel speed geschwindigkeit vitesse velocidad sudu")
-KNEE = _words("knee knie joint angle winkel flexion gelenk theta genou angulo rodilla jiaodu xiguanjie guanjie")
+KNEE = _words("knee knie joint angle winkel flexion gelenk theta genou angulo rodilla jiaodu xiguanjie guanjie "
+              "xijiao xigai xibu zhuanjiao")
 NEAR = _words("start input in proximal prox motorside upstream near front 1 a antrieb eingang source vorne vorn "
-              "vorder avant entree amont delantera delantero entrada shuru jinduan qian")
+              "vorder ein avant entree amont delantera delantero entrada shuru "
+              "jinduan qian qianduan qianli ruduan rukou shiduan "
+              "in")
 FAR = _words("end output out distal dist loadside downstream far rear back 2 b abtrieb ausgang tip hinten hinter "
-             "arriere sortie aval trasera trasero salida shuchu yuanduan hou")
+             "arriere sortie aval trasera trasero salida shuchu yuanduan hou houduan houli aus "
+             "moduan chuduan chukou zhongduan")
 GUESS = _words("estimate estimated est model predicted")
-TIME = _words("time t timestamp zeit clock elapsed seconds sec temps tiempo shijian")
+TIME = _words("time t timestamp zeit clock elapsed seconds sec temps tiempo shijian shike")
 PERCENT = _words("gait phase percent pct gang")
 COUNT = _words("cycle cycles stride rep repetition zyklus step ciclo zhouqi")
 ACCELERATION = _words("acc accel acceleration beschleunigung imu")
 
+LEAST = {"N": 0.5}
+"""Smallest range of a signal that is not questioned where no unit is stated, by unit: kN of a rope bench are below."""
 MOST = {"N": 1000.0, "m": 2.0, "rad": 2 * math.pi}
 """Largest value of a signal that is not questioned, by unit: beyond a rope bench, a wrong unit is likelier."""
 
@@ -75,6 +81,8 @@ WORDS = {
     "cycle": Words((COUNT,), NOTHING, FORCE | TIME),
 }
 _KNOWN = frozenset().union(FORCE, TARGET, ROPE, KNEE, NEAR, FAR, GUESS, _words("left right links rechts"))
+_SYMBOL = re.compile(r"\bF(in|out|start|end|prox|dist|ein|aus)(?![a-z])", re.IGNORECASE)
+"""A force's symbol with its index written behind it, as in Fin_lbf."""
 _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$|\s*/\s*([^\s/\d]+)\s*$|\s+in\s+(\S+)\s*$|_([A-Za-zµ°%]+)$")
 
 
@@ -141,7 +149,7 @@ def unassigned(sheet: LabTable, found: Sequence[Guess]) -> list[Unassigned]:
         else:
             why = "its name and unit fit no signal"
         rows.append(Unassigned(name, why))
-    return rows
+    return rows + [Unassigned(name, why) for name, why in sheet.left_out.items()]
 
 
 def _stated(sheet: LabTable, name: str) -> tuple[str, str]:
@@ -180,8 +188,10 @@ def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
 
 
 def _question(si: str, unit: str, stated: bool, known: Floats) -> str:
-    """Return the question about a column whose largest value is beyond `MOST`; "" within it."""
+    """Return the question about a column whose largest value is beyond `LEAST` or `MOST`; "" between them."""
     largest = float(np.abs(known).max()) * TO_SI[unit][1]
+    if not stated and 0.0 < largest < LEAST.get(si, 0.0):
+        return f"reaches only {largest:.4g} {si}, less than a rope bench has: no unit is stated, so is it k{si}?"
     if largest <= MOST.get(si, math.inf):
         return ""
     return (f"reaches {largest:.4g} {si}, more than a rope bench has: "
@@ -194,7 +204,7 @@ def _met(words: set[str], group: frozenset[str]) -> int:
 
 
 def _tokens(name: str) -> set[str]:
-    parted = re.sub(r"([a-z])([A-Z])|([A-Za-z])([0-9])", r"\1\3 \2\4", name)
+    parted = re.sub(r"([a-z])([A-Z])|([A-Za-z])([0-9])", r"\1\3 \2\4", _SYMBOL.sub(r"f \1", name))
     plain = unicodedata.normalize("NFKD", parted.lower()).encode("ascii", "ignore").decode()  # é as e, ä as a
     return {word for word in re.split(r"[^a-z0-9]+", plain) if word}
 
@@ -240,9 +250,11 @@ def text(sheet: LabTable, map_name: str) -> str:
 
 
 def _how(sheet: LabTable) -> list[str]:
-    """Return the detected dialect as a commented table [csv]; nothing of a file that is not CSV."""
+    """Return the detected dialect as a commented table [csv], of a workbook its sheet; nothing of other files."""
     if not sheet.dialect:
         return []
+    if "sheet" in sheet.dialect:
+        return ["[csv]", f"sheet = {json.dumps(sheet.dialect['sheet'], ensure_ascii=False)}", ""]
     told = f" ({'; '.join(sheet.said)})" if sheet.said else ""
     return [f"# The file is read with these values{told}; to read it otherwise, uncomment and change:", "# [csv]",
             *(f"# {name} = {json.dumps(value, ensure_ascii=False)}" for name, value in sheet.dialect.items()), ""]
@@ -267,5 +279,6 @@ def _range(values: Floats) -> str:
 
 def _rest(sheet: LabTable, columns: Iterable[Unassigned]) -> list[str]:
     rows = [f"#   {json.dumps(name, ensure_ascii=False)}: "
-            + (why if name in sheet.faults else f"{_range(sheet.column(name))}; {why}") for name, why in columns]
+            + (why if name in sheet.faults or name not in sheet else
+               f"{_range(sheet.column(name))}; {why}") for name, why in columns]
     return rows or ["#   none"]

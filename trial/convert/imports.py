@@ -23,6 +23,7 @@ from parameters.files import refuse_special, unpacked_limit
 from trial import assemble, decode
 from trial.assemble import Progress, TrialContent, silent
 from trial.convert import candump, clock, csv_table, foreign_mcap, sheets
+from trial.convert.csv_file import Dialect
 from trial.convert.csv_table import SignalSource
 from trial.convert.frames import LoggedFrames, oddities
 from trial.convert.lab_table import LabTable
@@ -111,15 +112,15 @@ def _reader(source: Path) -> Reader:
     raise InputError(f"{source}: the ending {ending or 'is missing and'} names no format; expected {FORMATS}.")
 
 
-def table_of(source: Path) -> LabTable:
-    """Return the table in a file; raises `InputError` where it holds CAN frames or is a trial."""
+def table_of(source: Path, sheet: str = "") -> LabTable:
+    """Return the table in a file, of a workbook in `sheet`; raises `InputError` for CAN frames and for a trial."""
     refuse_special(source)
     if not source.exists():
         raise InputError(f"{source}: no such file; give the path of a table.")
     if _reader(source) is not _from_table:
         raise InputError(f"{source}: holds no table but CAN frames or topics, which need no map; say bowden import "
                          f"{source} -o trial.mcap.")
-    return sheets.sheet_of(source)
+    return sheets.sheet_of(source, Dialect(sheet=sheet) if sheet else None)
 
 
 def raw_content(source: Path) -> LoggedFrames | LabTable:

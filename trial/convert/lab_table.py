@@ -54,7 +54,8 @@ class LabTable:
 
     `rows[i]` is the number of row i in the file. `faults` gives, by column, the first cell that is not a number, with
     its row. `begins_ns` is, by name, the time since 1970 at which a column of absolute times is 0. `said` lists the
-    detections, as sentences; `dialect` has the detected values of a map's [csv], {} of a file that is not CSV.
+    detections, as sentences; `dialect` has the detected values of a map's [csv]: of a workbook its sheet, {} of a file
+    of another format. `left_out` gives, by name, the reason why a column or sheet of the file is not in the table.
     """
 
     path: Path
@@ -68,6 +69,7 @@ class LabTable:
     said: list[str] = field(default_factory=list)
     header_row: int = 1
     dialect: dict[str, str | int] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._place = {name: place for place, name in enumerate(self.names)}

@@ -201,7 +201,7 @@ def _messages(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
         return
     if ending == ".blf" and path.suffix.lower() == ".blf":
         _refuse_bomb(path)
-    reader_type: Any = MESSAGE_READERS[ending]
+    reader_type: Any = _mdf_reader() if ending == ".mf4" else MESSAGE_READERS[ending]
     text = issubclass(reader_type, TextIOMessageReader)
     if ending == ".mf4":
         with reader_type(path) as reader:
@@ -212,6 +212,17 @@ def _messages(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
         file = io.TextIOWrapper(whole, encoding="utf-8", errors="replace") if text else whole
         with reader_type(file) as reader:
             yield reader, raw.told
+
+
+def _mdf_reader() -> Any:
+    """Return python-can's reader of MDF files, loaded again where python-can was imported without asammdf."""
+    import importlib
+
+    from can.io import mf4
+
+    if getattr(mf4, "asammdf", None) is None:
+        importlib.reload(mf4)
+    return mf4.MF4Reader
 
 
 def _ending(path: Path) -> str:

@@ -11,7 +11,7 @@ import datetime
 import importlib
 import io
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +30,14 @@ Arrays = dict[str, np.ndarray[Any, Any]]
 def sheet_of(path: Path, dialect: csv_file.Dialect | None = None) -> LabTable:
     """Read the table in a file; CSV where its ending names none of the other formats."""
     ending = path.suffix.lower()
-    readers = {".xlsx": excel, ".tdms": tdms, ".parquet": parquet, ".mat": matlab, ".mf4": mdf, ".mdf": mdf}
+    readers: dict[str, Callable[[Path], LabTable]] = {
+        ".xlsx": excel, ".tdms": tdms, ".parquet": parquet, ".mat": matlab, ".mf4": mdf, ".mdf": mdf}
     if ending not in readers:
+        if dialect is not None and dialect.sheet:
+            raise InputError(f"{path}: is no workbook and has no sheet {dialect.sheet!r}; leave the sheet out.")
         return csv_file.read(path, dialect)
-    if dialect is not None:
+    chosen = "" if dialect is None else dialect.sheet
+    if dialect is not None and dialect != csv_file.Dialect(sheet=chosen if ending == ".xlsx" else ""):
         raise InputError(f"{path}: is no CSV file; leave [csv] out of the map.")
     refuse_special(path)
     if not path.exists():
@@ -41,7 +45,7 @@ def sheet_of(path: Path, dialect: csv_file.Dialect | None = None) -> LabTable:
     if path.stat().st_size > READ_LIMIT:
         raise InputError(f"{path}: is longer than {READ_LIMIT} bytes; cut it.")
     try:
-        return readers[ending](path)
+        return excel(path, chosen) if ending == ".xlsx" else readers[ending](path)
     except InputError:
         raise
     except MemoryError:
@@ -83,28 +87,62 @@ def _fixed_width(kind: Any) -> bool:
     return bool(types.is_primitive(kind) or (types.is_dictionary(kind) and types.is_primitive(kind.value_type)))
 
 
-def excel(path: Path) -> LabTable:
-    """Read the first sheet of an Excel file as its CSV would be: header, perhaps a row of units, then numbers."""
+def excel(path: Path, chosen: str = "") -> LabTable:
+    """Read a sheet of an Excel file as its CSV would be: header, perhaps a row of units, then numbers.
+
+    It is the sheet `chosen`, else the first one that holds a table of numbers; the others are listed as left out.
+    """
     try:
         load_workbook = importlib.import_module("openpyxl").load_workbook
     except ImportError:
         raise missing(path, "Excel needs openpyxl", "xlsx") from None
     unpacked_size.check_zip(path)
     book = load_workbook(path, read_only=True, data_only=True)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     try:
-        for row in book.worksheets[0].iter_rows(values_only=True):
-            if any(cell is not None for cell in row):
-                writer.writerow([_excel_cell(cell) for cell in row])
+        texts = {sheet.title: _excel_text(sheet) for sheet in book.worksheets}
     finally:
         book.close()
-    if not text.tell():
-        raise InputError(f"{path}: its first sheet is empty; put the table there.")
-    found = csv_file.read_text(path, text.getvalue())
-    found.said.insert(0, f"Excel, sheet {book.sheetnames[0]!r}")
-    found.dialect = {}
+    if chosen and chosen not in texts:
+        raise InputError(f"{path}: has no sheet {chosen!r}; expected one of {_quoted(texts)}.")
+    found, reasons = None, dict[str, str]()
+    for name, text in texts.items():
+        table = _excel_table(path, text)
+        if found is None and (name == chosen or not chosen) and isinstance(table, LabTable):
+            found, title = table, name
+        else:
+            reasons[f"sheet {name!r}"] = table if isinstance(table, str) else "another table; --sheet takes it"
+    if found is None:
+        raise InputError(f"{path}: " + (f"sheet {chosen!r}" if chosen else f"none of its sheets {_quoted(texts)}")
+                         + " holds a header with rows of numbers; name the sheet with --sheet.")
+    found.said.insert(0, f"Excel, sheet {title!r}")
+    found.dialect = {"sheet": title}
+    found.left_out = reasons
     return found
+
+
+def _quoted(names: Iterable[str]) -> str:
+    return ", ".join(map(repr, names))
+
+
+def _excel_text(sheet: Any) -> str:
+    """Return the rows of a sheet that hold anything as comma-separated text."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    for row in sheet.iter_rows(values_only=True):
+        if any(cell is not None for cell in row):
+            writer.writerow([_excel_cell(cell) for cell in row])
+    return text.getvalue()
+
+
+def _excel_table(path: Path, text: str) -> LabTable | str:
+    """Return the table in a sheet's text, or the reason why it holds none."""
+    if not text:
+        return "empty"
+    try:
+        table = csv_file.read_text(path, text)
+    except InputError:
+        return "no table"
+    return table if len(set(table.names) - set(table.faults)) > 1 else "no columns of numbers"
 
 
 def _excel_cell(cell: Any) -> str:
@@ -186,11 +224,10 @@ def _flatten(prefix: str, found: Mapping[str, Any], flat: Arrays) -> None:
         full = f"{prefix}{name}"
         if isinstance(value, Mapping):
             _flatten(f"{full}.", value, flat)
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
-            if value.ndim == 2 and min(value.shape) > 1:
-                flat |= {f"{full}(:,{place + 1})": value[:, place] for place in range(value.shape[1])}
-            elif value.size > 1:
-                flat[full] = value.ravel()
+        elif isinstance(value, np.ndarray) and value.ndim == 2 and min(value.shape) > 1:
+            flat |= {f"{full}(:,{place + 1})": value[:, place] for place in range(value.shape[1])}
+        else:
+            flat[full] = np.ravel(np.asarray(value))
 
 
 def mdf(path: Path) -> LabTable:
@@ -241,7 +278,7 @@ def has_can_frames(path: Path) -> bool:
 
 
 def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], said: list[str]) -> LabTable:
-    """Make a sheet of the columns of numbers that have the commonest length."""
+    """Make a sheet of the columns of numbers that have the commonest length; the others are listed as left out."""
     numbers = {name: values for name, values in columns.items() if values.dtype.kind in "fiub"}
     stamps = {name: values for name, values in columns.items() if values.dtype.kind == "M"}
     lengths = Counter(len(values) for values in (*numbers.values(), *stamps.values()) if len(values) > 1)
@@ -258,12 +295,14 @@ def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], said: list[str
                 values[name] = (whole - whole[0]) / 1e9
             else:
                 values[name] = np.ascontiguousarray(column, np.float64)
-    left_out = len(columns) - len(values)
-    counts = {"columns_of_no_numbers": left_out} if left_out else {}
+    reasons = {name: f"{len(column)} value{'' if len(column) == 1 else 's'}, the table has {length} rows"
+               if name in numbers | stamps else "no numbers" for name, column in columns.items() if name not in values}
+    unread = sum(reason == "no numbers" for reason in reasons.values())
+    counts = {"columns_of_no_numbers": unread} if unread else {}
     names = _shortest(list(values))
     stated = ["s" if name in begins else units.get(name, "") for name in values]
     found = LabTable(path, unique(names, csv_file.reserved), list(values.values()), stated, range(1, length + 1),
-                     counts=counts, said=said, header_row=0)
+                     counts=counts, said=said, header_row=0, left_out=reasons)
     found.begins_ns = {name: begins[full] for name, full in zip(names, values, strict=True) if full in begins}
     return found
 

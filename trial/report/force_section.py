@@ -12,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trial import metrics
+from trial import metrics, slow_columns
 from trial.read import Trial
 from trial.report.packing import broken, thinned
 from trial.report.page import Page, Series
 from trial.report.setting import TrialSetting, known, seconds
+from trial.report.words import hand, words
 from trial.signals import UNITS
 
 Floats = NDArray[np.float64]
@@ -63,21 +64,29 @@ def over_time(
     colours: Mapping[str, str] = COLOURS, height: int = 240, marks: Sequence[float] = (), band: Band | None = None,
 ) -> None:
     """Plot columns over the trial's time (s), thinned, broken where rows are missing, with marks at times."""
-    along, values = seconds(trial, trial.time_ns), [*columns.values(), *(band[2:] if band else ())]
+    shown, factor = hand(unit)
+    along, values = seconds(trial, trial.time_ns), [
+        factor * column for column in (*columns.values(), *(band[2:] if band else ()))]
     if len(along) > 1:
         along, values = broken(along, values, GAP_PERIODS * float(np.median(np.diff(along))))
         along, values = thinned(along, values, BINS)
-    lines = [Series(name, column, colours.get(name, OTHER), dash=name in DASHED)
+    lines = [Series(_words(name), column, colours.get(name, OTHER), dash=name in DASHED, tip=name)
              for name, column in zip(columns, values, strict=False)]
     if band is not None:
         lines.insert(0, Series(band.label, values[-2], band.colour, high=values[-1], width=0.3))
-    page.plot(title, along, lines, f"{TIME} (s)", unit, linked=TIME, marks=marks, height=height)
+    page.plot(title, along, lines, "time (s)", shown, linked=TIME, marks=marks, height=height)
+
+
+def _words(name: str) -> str:
+    """Return a column, or a difference of two, in words."""
+    return " − ".join(map(words, name.split(" − ")))
 
 
 def chosen(trial: Trial, names: Sequence[str]) -> dict[str, Floats]:
-    """Return those of the columns that the trial has."""
+    """Return those of the columns that the trial has; one of a lower rate than the rows with lines between values."""
     found = {name: known(trial, name) for name in names}
-    return {name: column for name, column in found.items() if column is not None}
+    time = seconds(trial, trial.time_ns)
+    return {name: slow_columns.on_rows(time, column)[0] for name, column in found.items() if column is not None}
 
 
 def force(page: Page, trial: Trial, setting: TrialSetting) -> None:
@@ -112,7 +121,7 @@ def _interval(trial: Trial) -> Band | None:
     estimate, half = known(trial, ESTIMATE), known(trial, HALF)
     if estimate is None or half is None:
         return None
-    return Band(f"{ESTIMATE} ± {HALF}", COLOURS[ESTIMATE], estimate - half, estimate + half)
+    return Band(f"{words(ESTIMATE)}, 95 % interval", COLOURS[ESTIMATE], estimate - half, estimate + half)
 
 
 def _troubles(trial: Trial) -> list[float]:
@@ -139,7 +148,7 @@ def others(page: Page, trial: Trial) -> None:
         return
     page.section("Other signals")
     for name, column in columns.items():
-        over_time(page, trial, name, {name: column}, trial.units[name])
+        over_time(page, trial, words(name), {name: column}, trial.units[name])
 
 
 def _by_cycle(page: Page, trial: Trial, setting: TrialSetting, error: Floats) -> int | None:
@@ -214,11 +223,11 @@ def _against_phase(
             lines = drawn[:SINGLE_CYCLES] if name not in DASHED else drawn[:1]
         else:
             low, high = _band(drawn)
-            series.append(Series(name, low, colour, high=high, width=0.3))
+            series.append(Series(_words(name), low, colour, high=high, width=0.3, tip=name))
             kept = [0, len(drawn) - 1] + [at for at, one in enumerate(phases.cycles) if one == worst]
             lines = drawn[sorted(set(kept))]
-        series += [Series(name, line, colour, dash=name in DASHED, width=1.0) for line in lines]
-    page.plot(title, phases.percent, series, "gait_percent (%)", "N", linked="gait_percent", height=320)
+        series += [Series(_words(name), line, colour, dash=name in DASHED, width=1.0, tip=name) for line in lines]
+    page.plot(title, phases.percent, series, "gait phase (%)", "N", linked="gait_percent", height=320)
 
 
 def _band(drawn: Floats) -> tuple[Floats, Floats]:

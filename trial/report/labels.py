@@ -9,18 +9,24 @@ import json
 import re
 from collections.abc import Mapping
 
+from trial.report.words import quantity
+
 LABELS: Mapping[str, str] = {
-    "experiment": "experiment", "controller": "controller", "controller_model": "effects the controller is told of",
-    "calibration": "calibration", "peak_n": "peak force (N)", "period_s": "gait cycle (s)", "cycles": "gait cycles",
-    "settle": "first gait cycles not counted", "rate_hz": "control rate (Hz)", "operator": "operator",
+    "experiment": "experiment", "controller": "controller", "tuning": "its parameters",
+    "controller_model": "effects the controller is told of",
+    "calibration": "calibration", "peak_n": "peak force", "period_s": "gait cycle", "cycles": "gait cycles",
+    "settle": "first gait cycles not counted", "rate_hz": "control rate", "operator": "operator",
     "specimen": "specimen", "rope": "rope", "notes": "notes", "bus": "bus", "interface": "CAN interface",
     "channel": "CAN channel", "source": "recorded by", "imported_from": "imported from", "outcome": "ended",
     "stop_reason": "why it stopped", "warning": "warning", "missed_cycles": "control cycles with a missed input",
-    "stale_inputs": "stale inputs", "duration_s": "time on the bus (s)",
-    "friction_half_width_m": "rope travel to reverse friction at homing (m)", "frames": "CAN frames",
+    "stale_inputs": "stale inputs", "duration_s": "time on the bus",
+    "friction_half_width_m": "rope travel to reverse friction at homing", "frames": "CAN frames",
     "left_out": "left out", "read_as": "read with",
 }
 """Label of each key that is shown; other keys are folded."""
+UNITS: Mapping[str, str] = {"peak_n": "N", "period_s": "s", "rate_hz": "Hz", "duration_s": "s",
+                             "friction_half_width_m": "m"}
+"""SI unit of each key that is a quantity; it is shown with a prefixed unit and three significant digits."""
 ALWAYS_FOLDED = frozenset({"commit", "course", "bitrate", "signal", "day", "dry_run"})
 
 
@@ -31,16 +37,19 @@ def label(key: str) -> str:
 
 def shown(told: Mapping[str, object]) -> dict[str, object]:
     """Return the entries to show at once, by label: documented keys with a value, and keys of foreign files."""
-    return {label(key): _plain(value) for key, value in told.items()
+    return {label(key): _plain(value, UNITS.get(key)) for key, value in told.items()
             if key not in ALWAYS_FOLDED and value not in (None, "", [], {}, "[]", "{}", "null")}
 
 
-def _plain(value: object) -> object:
-    """Return a text that the file holds as JSON without its quotes, and a long fraction with six digits."""
+def _plain(value: object, unit: str | None) -> object:
+    """Return a text that the file holds as JSON without its quotes; a quantity in `unit`, a long fraction rounded."""
     if isinstance(value, str) and value[:1] == value[-1:] == '"' and len(value) > 1:
         return json.loads(value)
-    if isinstance(value, str) and re.fullmatch(r"-?\d+\.\d{7,}(e-?\d+)?", value):
-        return f"{float(value):.6g}"
+    number = re.fullmatch(r"-?\d+(\.\d+)?(e-?\d+)?", str(value))
+    if number and unit is not None:
+        return quantity(float(str(value)), unit)
+    if number and re.search(r"\.\d{4,}|e-", str(value)):
+        return quantity(float(str(value)))
     return value
 
 

@@ -29,7 +29,8 @@ UNKNOWN = "–"
 class Series(NamedTuple):
     """A line: `values` along the plot's x, NaN where unknown; with `high` the band between the two, filled.
 
-    Series of one label share a legend entry.  `steps` holds each value to the next; `points` draws no line.
+    Series of one label share a legend entry; `tip` is its tooltip, such as the column's name.  `steps` holds each value
+    to the next; `points` draws no line.
     """
 
     label: str
@@ -40,6 +41,19 @@ class Series(NamedTuple):
     dash: bool = False
     steps: bool = False
     points: bool = False
+    tip: str = ""
+
+
+class Named(str):
+    """Words for a thing that has a name in files: the page shows the words, and `tip`, the name, as their tooltip."""
+
+    tip: str
+
+    def __new__(cls, words: str, tip: str) -> Named:
+        """Make the text `words`."""
+        made = super().__new__(cls, words)
+        made.tip = tip
+        return made
 
 
 class Tile(NamedTuple):
@@ -56,7 +70,7 @@ class Page:
 
     def __init__(self, title: str, subtitle: str = "", *, badge: tuple[str, str] | None = None) -> None:
         """`badge` is a word beside the title and its kind: good, bad, warn or plain."""
-        self.title = title
+        self.title, self.prefix = title, ""
         word = "" if badge is None else f'<span class="badge {_kind(badge[1])}">{_text(badge[0])}</span>'
         below = f'<p class="subtitle">{_text(subtitle)}</p>' if subtitle else ""
         self._head = f"<h1>{_text(title)}{word}</h1>{below}"
@@ -65,11 +79,11 @@ class Page:
         self._plots: list[dict[str, Any]] = []
 
     def section(self, title: str) -> None:
-        """Begin a section; the page's navigation lists it."""
-        self._sections.append((title, []))
+        """Begin a section, `prefix` before its title; the page's navigation lists it."""
+        self._sections.append((f"{self.prefix}{title}", []))
 
     def text(self, text: str, kind: str = "") -> None:
-        """Add a paragraph; `kind` is empty, note (small) or warning."""
+        """Add a paragraph; `kind` is empty, lead (large), note (small) or warning."""
         self._add(f'<p class="{_kind(kind)}">{_text(text)}</p>')
 
     def heading(self, text: str) -> None:
@@ -136,6 +150,10 @@ class Page:
         self._add(f'<figure><figcaption>{_text(title)}</figcaption><div class="legend"></div>'
                   f'<div class="plot" id="{number}" role="img" aria-label="{_text(title)}"></div></figure>')
 
+    def drawing(self, title: str, svg: str) -> None:
+        """Add a picture as an SVG element, whose texts the caller has escaped."""
+        self._add(f"<figure><figcaption>{_text(title)}</figcaption>{svg}</figure>")
+
     def _packed(self, one: Series) -> dict[str, Any]:
         high = None if one.high is None else self._pool.ordinate(_floats(one.high))
         style = {name: value for name, value in one._asdict().items() if name != "values"}
@@ -181,6 +199,10 @@ def number(value: float | None, digits: int = 4) -> str:
     """Return a number with `digits` significant digits, the minus typographic; a dash where it is unknown."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
+    if 1.0 <= abs(value) < 1e6:  # never 1.2e+03
+        places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        text = f"{value:.{places}f}"
+        return (text.rstrip("0").rstrip(".") if "." in text else text).replace("-", "−")
     return f"{value:.{digits}g}".replace("-", "−")
 
 
@@ -189,7 +211,7 @@ def _cell(value: Cell) -> str:
         return value
     if isinstance(value, bool | int):
         return str(value)
-    return number(value)
+    return number(value, 3)
 
 
 def _long(value: Cell) -> str:
@@ -201,10 +223,11 @@ def _floats(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def _kind(word: str) -> str:
-    if word not in ("", "note", "warning", "good", "bad", "warn", "plain"):
+    if word not in ("", "lead", "note", "warning", "good", "bad", "warn", "plain"):
         raise ValueError(f"{word!r} is no kind of text or badge")
     return word
 
 
 def _text(text: str) -> str:
-    return escape(text, quote=True).replace("\0", "␀")
+    shown = escape(text, quote=True).replace("\0", "␀")
+    return f'<span title="{escape(text.tip, quote=True)}">{shown}</span>' if isinstance(text, Named) else shown

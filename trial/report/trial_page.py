@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from trial import metrics
+from trial import metrics, paths
 from trial.read import Trial
 from trial.report import bus_section, force_section, labels
 from trial.report.bus_section import FrameBits
 from trial.report.page import UNKNOWN, Cell, Page, Tile, number
 from trial.report.setting import TrialSetting, known, setting, unknown
+from trial.report.words import quantity, words
 
 FIGURES = (
     ("relative_rmse_percent", "%", "relative RMSE of END, whole gait cycles, by the peak"),
@@ -30,7 +31,7 @@ def write(
     trial: Trial, path: str | Path, frame_bits: FrameBits, *, published: Mapping[str, str] | None = None,
     bound_percent: float | None = None, overwrite: bool = False, progress: Callable[[float], None] = lambda share: None,
 ) -> int:
-    """Write the report of `trial` as one HTML file; returns its bytes. Raises `InputError`.
+    """Write the report of `trial`, of all its force paths, as one HTML file; returns its bytes. Raises `InputError`.
 
     `published` are published figures by name, shown for comparison; `bound_percent` is the bus load computed
     beforehand; `progress` receives the share done, 0 … 1.
@@ -47,10 +48,7 @@ def build(
     judged = setting(trial)
     page = _head(trial)
     parts: tuple[Callable[[], None], ...] = (
-        lambda: _summary(page, trial, judged, published),
-        lambda: force_section.force(page, trial, judged),
-        lambda: force_section.motion(page, trial),
-        lambda: force_section.others(page, trial),
+        *_signals(page, trial, published),
         lambda: bus_section.timing(page, trial, judged, on_bus=bool(len(trial.frames))),
         lambda: bus_section.load(page, trial, frame_bits, bound_percent),
         lambda: _events(page, trial),
@@ -61,6 +59,28 @@ def build(
         part()
         progress(done / len(parts))
     return page
+
+
+def _signals(page: Page, trial: Trial, published: Mapping[str, str]) -> list[Callable[[], None]]:
+    """Return what adds summary, force, motion and other signals; of several force paths for each of them."""
+    names = paths.names(trial)
+    parts: list[Callable[[], None]] = []
+    for name in names or ("",):
+        parts += _of_path(page, paths.one_path(trial, name) if name else trial, f"{name}: " if name else "", published)
+    return parts
+
+
+def _of_path(page: Page, one: Trial, prefix: str, published: Mapping[str, str]) -> list[Callable[[], None]]:
+    judged = setting(one)
+
+    def begin() -> None:
+        page.prefix = prefix
+
+    def end() -> None:
+        page.prefix = ""
+
+    return [begin, lambda: _summary(page, one, judged, published), lambda: force_section.force(page, one, judged),
+            lambda: force_section.motion(page, one), lambda: force_section.others(page, one), end]
 
 
 def _head(trial: Trial) -> Page:
@@ -97,13 +117,13 @@ def _summary(page: Page, trial: Trial, judged: TrialSetting, published: Mapping[
     seconds = (int(trial.time_ns[-1]) - int(trial.time_ns[0])) / 1e9 if len(trial.time_ns) else None
     told = {**trial.metadata, **{name: value for name, value in result.items() if name not in SAID}}
     page.facts({**{name: _cell(value) for name, value in labels.shown(told).items()}, **_counted(trial),
-                "recorded time (s)": seconds})
+                "recorded time": quantity(seconds, "s")})
     rest = labels.folded(told)
     if rest:
         page.attachment("commit, digests and homing", "".join(f"{name}: {_cell(one)}\n" for name, one in rest.items()))
     missing = unknown(trial)
     if missing:
-        page.text(f"Not in this trial: {', '.join(missing)}.", "note")
+        page.text(f"Not in this trial: {', '.join(dict.fromkeys(map(words, missing)))}.", "note")
 
 
 def _counted(trial: Trial) -> dict[str, Cell]:
@@ -126,7 +146,8 @@ def _cell(value: object) -> Cell:
 def _figures(page: Page, trial: Trial, judged: TrialSetting, published: Mapping[str, str]) -> None:
     lacking = [name for name in NEEDED if known(trial, name) is None]
     if lacking or judged.peak_n is None or judged.rate_hz is None or not judged.cycles:
-        page.text(f"No figures of force: {', '.join(lacking) or 'peak, rate or gait cycles'} not known.", "note")
+        unknown_names = ", ".join(map(words, lacking)) or "peak, rate or gait cycles"
+        page.text(f"No figures of force: {unknown_names} not known.", "note")
         return
     found = metrics.figures(trial.columns, peak_n=judged.peak_n, rate_hz=judged.rate_hz, cycles=judged.cycles,
                             settle=judged.settle)
@@ -147,7 +168,7 @@ def _events(page: Page, trial: Trial) -> None:
         page.text("No events were recorded.", "note")
         return
     first = int(trial.time_ns[0]) if len(trial.time_ns) else trial.events[0].time_ns
-    page.table(("time_s", "kind", "source", "text"), [
+    page.table(("time (s)", "kind", "source", "text"), [
         (f"{(event.time_ns - first) / 1e9:.6f}".replace("-", "−"), event.kind, event.source, event.text)
         for event in trial.events], tall=len(trial.events) > 15)
 
@@ -176,5 +197,5 @@ def _reading(page: Page, trial: Trial) -> None:
         thinning = f"Plots over time draw every one of the {rows} rows."
     page.text(f"{thinning} Against the phase, a gait cycle is drawn by least and greatest of up to "
               f"{force_section.PHASE_BINS} bins. Figures are computed from every row.", "note")
-    page.text(f"Signals have their names in /cycle and its units (SI, rad); {UNKNOWN} is unknown. Time counts from the "
+    page.text(f"A name's column in the file is in its tooltip, SI there; {UNKNOWN} is unknown. Time counts from the "
               "first control cycle, so bring-up is negative. A line breaks where rows are missing.", "note")

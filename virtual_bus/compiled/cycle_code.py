@@ -26,7 +26,7 @@ from physics import converter, drive_loops
 from physics.drive_loops import DRIVE_TICK_NS
 from physics.plant import bench_plant, step, truth_row
 from physics.plant.state_layout import SIZE, SLOT
-from virtual_bus.wire import bits
+from virtual_bus.wire import bit_counts, bits
 from virtual_bus.wire.bits import INTERMISSION_BITS, TRAILER_BITS
 
 _Part = tuple[str, tuple[int, ...]]
@@ -205,12 +205,12 @@ _advance, _axis_step, _axis_counts = step.advance, axis_law.step, axis_law.count
 _convert, _sample, _process = converter.convert, channel_law.sample, channel_law.process
 _target, _way, _feel, _truth_row = set_point_law.target, set_point_law.way, set_point_law.feel, truth_row.truth_row
 FOLLOWS, FEELS = set_point_law.FOLLOWS, set_point_law.FEELS
-_stuffed_bits = bits._stuffed_bits
+_stuffed_bits = bit_counts.stuffed_bits
 
 
 def digest() -> int:
     """Return a number of the sources that the compiled cycle is made of, for numba's cache sees its own file alone."""
-    made = (axis_law, channel_law, set_point_law, converter, drive_loops, bits, truth_row, bench_plant)
+    made = (axis_law, channel_law, set_point_law, converter, drive_loops, bit_counts, bits, truth_row, bench_plant)
     text = b"".join(Path(str(module.__file__)).read_bytes() for module in made)
     return int.from_bytes(hashlib.sha256(text).digest()[:7], "big") ^ step.digest()
 

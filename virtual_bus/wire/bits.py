@@ -1,17 +1,13 @@
 """The bits of a classical CAN frame: fields, CRC-15, stuffing (ISO 11898-1, 10.4).
 
 The time of a frame on the wire is counted from its bits, never estimated. `sequence` writes them out; `frame_bits`
-counts them, compiled, because every frame needs it; `bits_of` counts those of a whole recording.
+counts them by tables of whole bytes, because every frame needs it. `bit_counts` counts those of a whole recording.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Final
-
-import numba
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from typing import Final
 
 from eds.cia301 import Frame
 
@@ -26,10 +22,6 @@ SUSPEND_BITS: Final = 8
 RECOVERY_BITS: Final = 128 * 11
 """Recessive bits after which a node that is bus-off may take part again."""
 BITRATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)
-
-
-Counts = NDArray[np.int64]
-_big_endian = int.from_bytes
 
 
 def header(frame: Frame) -> tuple[int, int]:
@@ -66,61 +58,18 @@ def frame_bits(frame: Frame) -> int:
             data = b""
     else:
         head, width = can_id << 7 | len(data), 19
-    bits: int = _stuffed_bits(head, width, _big_endian(data), 8 * len(data))
-    return bits + TRAILER_BITS
-
-
-@numba.njit("int64(int64, int64, uint64, int64)", cache=True)
-def _stuffed_bits(head: int, head_bits: int, payload: int, payload_bits: int) -> int:
-    total = head_bits + payload_bits
-    count, run, last, crc = 0, 0, -1, 0
-    for place in range(total + 15):
-        if place < head_bits:
-            bit = (head >> (head_bits - 1 - place)) & 1
-        elif place < total:
-            bit = (payload >> (total - 1 - place)) & 1
-        else:
-            bit = (crc >> (total + 14 - place)) & 1
-        if place < total:
-            flip = bit ^ ((crc >> 14) & 1)
-            crc = (crc << 1) & 0x7FFF
-            if flip:
-                crc ^= 0x4599
-        count += 1
-        run = run + 1 if bit == last else 1
-        last = bit
-        if run == 5:
-            count += 1
-            last = 1 - bit
-            run = 1
-    return count
-
-
-def bits_of(can_id: ArrayLike, dlc: ArrayLike, data: ArrayLike, remote: ArrayLike, extended: ArrayLike) -> Counts:
-    """Return `frame_bits` of n frames at once; `data` has shape (n, 8), what lies behind the DLC does not count."""
-    counts: Counts = _bits_of(
-        np.ascontiguousarray(can_id, np.int64), np.ascontiguousarray(dlc, np.int64),
-        np.ascontiguousarray(data, np.uint8), np.ascontiguousarray(remote, np.bool_),
-        np.ascontiguousarray(extended, np.bool_),
-    )
-    return counts
-
-
-@numba.njit(cache=True)
-def _bits_of(can_id: Any, dlc: Any, data: Any, remote: Any, extended: Any) -> Any:
-    counts = np.empty(len(can_id), np.int64)
-    for row in range(len(can_id)):
-        size = 0 if remote[row] else min(dlc[row], 8)
-        payload: Any = np.uint64(0)
-        for place in range(size):
-            payload = (payload << np.uint64(8)) | np.uint64(data[row, place])
-        if extended[row]:
-            fields = (can_id[row] >> 18 << 2 | 3) << 18 | can_id[row] & 0x3FFFF
-            head, width = (fields << 1 | remote[row]) << 6 | dlc[row], 39
-        else:
-            head, width = (can_id[row] << 1 | remote[row]) << 6 | dlc[row], 19
-        counts[row] = _stuffed_bits(head, width, payload, 8 * size) + TRAILER_BITS
-    return counts
+    octets = head.to_bytes((width + 7) >> 3, "big") + data
+    crc = 0
+    for octet in octets:
+        crc = (crc << 8 & 0x7F00) ^ _CRC[crc >> 7 ^ octet]
+    entry = _FIRST[width & 7][octets[0]]
+    count, table = entry >> 4, _STUFFED[8]
+    for octet in octets[1:]:
+        entry = table[(entry & 15) << 8 | octet]
+        count += entry >> 4
+    entry = table[(entry & 15) << 8 | crc >> 7]
+    count += (entry >> 4) + (_STUFFED[7][(entry & 15) << 8 | crc & 0x7F] >> 4)
+    return width + 8 * len(data) + 15 + count + TRAILER_BITS
 
 
 def crc15(bits: list[int]) -> int:
@@ -158,3 +107,32 @@ def _stuff(bits: list[int]) -> Iterator[int]:
         if run == 5:
             run, last = 1, 1 - bit
             yield last
+
+
+def _crc_table() -> list[int]:
+    """CRC-15 of each byte."""
+    return [crc15(_digits(octet, 8)) for octet in range(256)]
+
+
+def _stuffed_table(width: int) -> list[int]:
+    """Stuff bits of `width` bits by state << 8 | bits: their number << 4 | next state.
+
+    A state is 2 (run − 1) + bit for a run of 1 to 4 equal bits.
+    """
+    return [_after(width, state >> 1, state & 1, octet) for state in range(8) for octet in range(256)]
+
+
+def _after(width: int, run: int, last: int, value: int) -> int:
+    count, run = 0, run + 1
+    for bit in _digits(value, width):
+        run = run + 1 if bit == last else 1
+        last = bit
+        if run == 5:
+            count, run, last = count + 1, 1, 1 - bit
+    return count << 4 | (run - 1) << 1 | last
+
+
+_CRC: Final = _crc_table()
+_STUFFED: Final = {width: _stuffed_table(width) for width in (7, 8)}
+_FIRST: Final = {width: [_after(width, -1, -1, octet) for octet in range(256)] for width in (3, 7)}
+"""Stuff bits before the first whole byte: a base header has 19 bits, an extended one 39."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from pathlib import Path
 from typing import Annotated
@@ -58,32 +57,24 @@ def bench(
     injected = () if faults is None else servable(faults)
     network = configuration.with_monitor(configuration.read(config)["network"], monitor)
     session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not json))
-    ended = False
-
-    def end(number: int, frame: object) -> None:
-        nonlocal ended
-        ended = True  # SIGTERM and SIGHUP come here, too: they act as Ctrl-C
-
     with buses.opened_one(chosen, bitrate or network.bitrate) as real:
         made = {**arguments, **buses.simulating(network), "bitrate": bitrate or network.bitrate,
                 "rate_hz": rate or network.rate_hz}
         made.pop("interface")
         made["faults"] = injected
         hidden = BowdenBus(**made)
-        before = signal.signal(signal.SIGINT, end)
         terminal.remark(f"the bench is on {interface} {channel or ''}; Ctrl-C ends it.")
         deadline = None if seconds is None else time.monotonic() + seconds
         try:
-            with prepared():
+            with prepared(), ending.interrupted() as ended:
                 served = serve(real, hidden.bench, time.monotonic_ns,
-                               lambda: ended or (deadline is not None and time.monotonic() >= deadline),
+                               lambda: ended() or (deadline is not None and time.monotonic() >= deadline),
                                echoes=interface == "udp_multicast")
         except can.CanOperationError as error:
             terminal.remark(f"{interface} is gone ({error}); the bench ends.")
             return 1
         finally:
-            signal.signal(signal.SIGINT, before)
             hidden.shutdown()
     result = {"received": served.received, "sent": served.sent, "lost": served.lost, "behind_ns": served.behind_ns}
     terminal.emit(result) if json else print(", ".join(f"{name} {value}" for name, value in result.items()))
-    return ending.CTRL_C if ended else 0
+    return ending.CTRL_C if ended() else 0

@@ -28,7 +28,7 @@ def apply(
     from master.node_access import bus_setup
 
     devices = bus_yml.read(file).devices
-    with linked(reached.chosen(), bitrate_of(reached, config)) as link:
+    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
         refuse_other_master(link, force)
         done = {one.name: bus_setup.apply(link, one, file.parent) for one in devices}
     if json:
@@ -61,7 +61,7 @@ def export(
     output_files.refuse([output], overwrite=overwrite)
     files = [packaged(name) for name in PACKAGED] if eds is None else node_scan.files_of(eds)
     rate = bitrate_of(reached, config)
-    with linked(reached.chosen(), rate) as link:
+    with linked(reached.configured(config), rate) as link:
         devices = [bus_setup.described(link, one) for one in node_scan.scan(link, files)]
     for path in {path for path in files for one in devices if path.name == one.eds}:
         if not (output.parent / path.name).exists():

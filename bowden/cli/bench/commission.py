@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from master.motion.commission import Procedure
     from master.settings import Limits
 
-Sensor = Annotated[str, typer.Argument(metavar="SENSOR", help="start or end.", show_default=False)]
-Axis = Annotated[str, typer.Argument(metavar="AXIS", help="servo or knee.", show_default=False)]
+Sensor = Annotated[str, typer.Argument(metavar="SENSOR", help="start, end, or a declared load cell.",
+                                          show_default=False)]
+Axis = Annotated[str, typer.Argument(metavar="AXIS", help="servo or knee, or a declared drive.", show_default=False)]
 By = Annotated[float, typer.Option(metavar="X", help="mm of rope (pulling > 0) or degrees of knee (flexion < 0).")]
 Speed = Annotated[float | None, typer.Option(metavar="V", help="mm/s or degrees/s at most (default 10).")]
 SPEED = 10.0
@@ -72,8 +73,9 @@ def tare(
     """
     from master.motion import commission
 
-    procedure = commission.tare(sensor)
-    return _Bench(reached, rate, config, path).perform(f"tare {sensor}", procedure, json=json)
+    bench = _Bench(reached, rate, config, path)
+    procedure = commission.tare(bench.place(sensor))
+    return bench.perform(f"tare {sensor}", procedure, json=json)
 
 
 @app.command()
@@ -95,10 +97,11 @@ def jog(
     """
     from master.motion import commission
 
-    unit = math.radians(1.0) if axis == "knee" else 1e-3
     bench = _Bench(reached, rate, config, path)
+    place = bench.place(axis)
+    unit = math.radians(1.0) if place == "knee" else 1e-3
     limits = bench.limits()
-    procedure = commission.jog(axis, by * unit, (SPEED if speed is None else speed) * unit, limits)
+    procedure = commission.jog(place, by * unit, (SPEED if speed is None else speed) * unit, limits)
     return bench.perform(f"jog {axis}", procedure, json=json, pulls=commission.jog_pulls(limits))
 
 
@@ -130,6 +133,20 @@ class _Bench:
     def __init__(self, reached: Bus, rate: int | None, config: Path | None, path: str | None) -> None:
         self.sections = reached.sections(config, rate)
         self.chosen, self.path = reached.chosen(), path
+
+    def place(self, name: str) -> str:
+        """Return what a declared device is on its force path: servo, knee, start or end; other names as they are.
+
+        A name of the only path that has the device chooses the path, too.
+        """
+        bench = self.sections["network"].bench
+        joints = {joint.name: joint.driven_by for joint in bench.joints}
+        places = [(one.name, place) for one in bench.force_paths for place, device in (
+            ("servo", one.actuator), ("knee", joints.get(one.joint, "")), ("start", one.start), ("end", one.end))
+            if device and device == name and self.path in (None, one.name)]
+        if len(places) == 1 and self.path is None:
+            self.path = places[0][0]
+        return places[0][1] if places else name
 
     def limits(self) -> Limits:
         """Return the limits of the force path; raises `InputError` for a path that is missing or not declared."""

@@ -39,11 +39,13 @@ def scan(reached: Bus, timeout: Wait = 100, config: options.Config = None, json:
     with _master(reached, config, timeout) as master:
         found = master.scan()
     if json:
-        terminal.emit({"unconfigured": [_identity(one) for one in found]})
+        terminal.emit({"unconfigured": [_identity(one) for one in found], "note": master.scan_note})
     else:
         for one in found:
             print(f"{one}  " + " ".join(f"{name} 0x{number:08X}" for name, number in one._asdict().items()))
         print(f"{len(found)} unconfigured devices.")
+        if master.scan_note is not None:
+            print(master.scan_note)
     return 0
 
 
@@ -71,7 +73,8 @@ def assign(
         booted = master.booted(node_id) if before == 255 else False
         if before not in (255, None):
             master.leave()
-            nmt(master.link, before, "reset-comm")
+            master.link.beats.pop(node_id, None)
+            nmt(master.link, before, "reset-comm", shown_by=node_id)
             booted = node_id in master.link.beats
     if json:
         terminal.emit({"node": node_id, "before": before, **_identity(address), "stored": store, "booted": booted})
@@ -138,7 +141,7 @@ def _master(reached: Bus, config: Path | None, timeout_ms: int, *, acts: bool = 
     from master.node_access.lss_master import LssMaster, LssRefusalError
     from parameters import InputError
 
-    with linked(reached.chosen(), int(reached.sections(config)["network"].bitrate)) as link:
+    with linked(reached.configured(config), int(reached.sections(config)["network"].bitrate)) as link:
         if acts:
             refuse_other_master(link, False)
         master = LssMaster(link, timeout_ms * 1_000_000)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_text
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
@@ -16,10 +17,11 @@ from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, grouped
 
 if TYPE_CHECKING:
+    from bowden.bench.buses import BusSettings
     from eds.dictionary import Dictionary
 
 KINDS: Final = ("nmt", "sync", "time", "emcy", "pdo", "sdo", "heartbeat", "lss", "other")
-Source = Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Trial or log: .mcap, .log, .asc, .blf.",
+Source = Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Trial, log (.log, .asc, .blf), - for candump.",
                                                show_default=False)]
 
 
@@ -65,7 +67,8 @@ def monitor(
     counts: Counter[int] = Counter()
     names: dict[int, str] = {}
     bits, first_ns, last_ns, lost = 0, None, 0, 0
-    for can_id, data, time_ns, special, dropped in _frames(source, reached, network.bitrate, seconds):
+    chosen = None if source is not None else reached.configured(config)
+    for can_id, data, time_ns, special, dropped in _frames(source, chosen, network.bitrate, seconds):
         lost = dropped
         if special == "lost":
             continue
@@ -94,7 +97,7 @@ def monitor(
     return 0
 
 
-def _frames(source: Path | None, reached: Bus, bitrate: int,
+def _frames(source: Path | None, chosen: BusSettings | None, bitrate: int,
             seconds: float | None) -> Iterator[tuple[int, bytes, int, str, int]]:
     """Yield identifier, data, time (ns), words for a frame that is no plain data frame, and frames lost so far."""
     from bowden.bench import buses
@@ -105,7 +108,7 @@ def _frames(source: Path | None, reached: Bus, bitrate: int,
         for message in _recorded(source):
             yield message.arbitration_id, bytes(message.data or b""), stamp_ns(message), _special(message), 0
         return
-    chosen = reached.chosen()
+    assert chosen is not None
     if seconds is None and chosen.simulated:
         seconds = 1.0
     with buses.opened_one(chosen, bitrate) as bus:
@@ -125,10 +128,19 @@ def _frames(source: Path | None, reached: Bus, bitrate: int,
 def _recorded(source: Path) -> Iterator[Any]:
     import can
 
+    from master.node_access import candump_lines
     from parameters import InputError
 
+    if str(source) == "-":
+        yield from candump_lines.messages(sys.stdin, "-")
+        return
     if not source.is_file():
-        raise InputError(f"{source}: no such file; give a trial (.mcap) or a CAN log (.log, .asc, .blf).")
+        raise InputError(f"{source}: no such file; give a trial (.mcap), a CAN log (.log, .asc, .blf), or - for "
+                         "candump's lines on standard input.")
+    if source.suffix.lower() in (".log", ".txt"):
+        with source.open(encoding="utf-8", errors="replace") as lines:
+            yield from candump_lines.messages(lines, str(source))
+        return
     try:
         with closing(_reader(source)) as reader:
             yield from reader

@@ -17,8 +17,8 @@ from bowden.cli.option_groups import Bus, grouped
 
 if TYPE_CHECKING:
     from eds.dictionary import Dictionary
-    from master.network.dcf import DescribedNode, ParameterDifference
     from master.network.link import Link
+    from master.node_access.dcf import DescribedNode, ParameterDifference
     from master.node_access.pdo_settings import PdoState
     from master.node_access.remote_node import NodeAccess
 
@@ -50,7 +50,7 @@ def scan(reached: Bus, eds: Eds = None, config: options.Config = None, json: opt
     from master.node_access import node_scan as scanning
 
     files = [packaged(name) for name in PACKAGED] if eds is None else scanning.files_of(eds)
-    with linked(reached.chosen(), bitrate_of(reached, config)) as link:
+    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
         found = scanning.scan(link, files)
     if json:
         terminal.emit({"nodes": [{"node": one.node_id, "state": one.state, "identity": one.identity, "name": one.name,
@@ -113,7 +113,7 @@ def read(
                        "si": value * scaled[0] if scaled and isinstance(value, int | float) else None,
                        "unit": scaled[1] if scaled else None, "bytes": len(data)})
     else:
-        shown = f"{len(data)} bytes in {output}" if output is not None else object_text.shown(value, kind, scaled)
+        shown = f"{len(data)} bytes in {output}" if output is not None else object_text.shown(value, kind, scaled, at)
         print(" ".join(filter(None, (object_text.shown_key(at), one.name(at)))) + f" = {shown}")
     return 0
 
@@ -157,7 +157,7 @@ def write(
                        "written": len(data), "value": object_text.plain(now)})
     else:
         print(" ".join(filter(None, (object_text.shown_key(at), one.name(at))))
-              + (f": {len(data)} bytes written." if now is None else f" = {object_text.shown(now, kind, scaled)}"))
+              + (f": {len(data)} bytes written." if now is None else f" = {object_text.shown(now, kind, scaled, at)}"))
     return 0
 
 
@@ -186,7 +186,7 @@ def objects(
         return 0
     for each in found:
         entry = each.entry
-        shown = each.refusal or object_text.shown(each.value, entry.data_type, units.get(entry.key))
+        shown = each.refusal or object_text.shown(each.value, entry.data_type, units.get(entry.key), entry.key)
         print(f"{'*' if each.changed else ' '} {object_text.shown_key(entry.key)} {entry.access:3} "
               f"{one.name(entry.key)} = {shown}")
     print(f"{len(found)} objects, {sum(bool(each.changed) for each in found)} not at their default.")
@@ -228,7 +228,7 @@ def pdo(
         print(_pdo_line(state))
         for word in state.mapping:
             at = word >> 8
-            shown = object_text.shown(values[at], one.kind(at), units.get(at))
+            shown = object_text.shown(values[at], one.kind(at), units.get(at), at)
             print(f"    {object_text.shown_key(at)} {one.name(at)}, {word & 0xFF} bits = {shown}")
     print(f"{len(states)} PDOs, {sum(state.valid for state in states)} in use.")
     return 0
@@ -332,7 +332,7 @@ def nmt(
                                            show_default=False)],
     reached: Bus, force: Force = False, config: options.Config = None, json: options.Json = False,
 ) -> int:
-    """Command the NMT state of a node or of all nodes.
+    """Command the NMT state of a node or of all nodes; exit status 1 if a node does not show the new state.
 
     Example: bowden node nmt 3 start
     """
@@ -343,15 +343,17 @@ def nmt(
         from parameters import InputError
 
         raise InputError(f"nmt {command}: is no command; give one of {', '.join(access.COMMANDS)}.")
-    node_id = 0 if name == "all" else _node_id(name, reached, config)
-    with linked(reached.chosen(), bitrate_of(reached, config)) as link:
+    node_id = 0 if name == "all" else node_id_of(name, reached, config)
+    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
         refuse_other_master(link, force)
-        state = access.nmt(link, node_id, command)
+        answer = access.nmt(link, node_id, command)
     if json:
-        terminal.emit({"node": name, "command": command, "state": state})
+        terminal.emit({"node": name, "command": command, "state": answer.states.get(node_id), "obeyed": answer.obeyed,
+                       "states": {str(one): state for one, state in answer.states.items()}})
     else:
-        print(f"{name}: {command} sent" + ("." if not node_id else f"; {state}." if state else "; no heartbeat came."))
-    return 0
+        states = list(answer.states.values()) if node_id else [f"{one} {state}" for one, state in answer.states.items()]
+        print(f"{name}: {command} sent; {', '.join(states) or 'no node shows its state'}.")
+    return 0 if answer.obeyed else 1
 
 
 @node.command()
@@ -391,25 +393,29 @@ def backup(
     output: options.Output,
     reached: Bus,
     eds: Eds = None,
+    concise: Annotated[Path | None, typer.Option(metavar="FILE", help="Write them as concise DCF (1F22), too.")] = None,
     config: options.Config = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
-    """Read a node's parameters and write them as DCF.
+    """Read a node's parameters and PDO settings and write them as DCF.
 
     Example: bowden node backup servo -o servo.dcf
     """
     from bowden import output_files
-    from master.network import dcf
+    from eds.dictionary import read as read_dcf
+    from master.node_access import dcf
     from parameters.files import write_whole
 
-    output_files.refuse([output], overwrite=overwrite)
+    output_files.refuse([output, concise], overwrite=overwrite)
     output_files.refuse_ending(output, ".dcf", what="a node's parameters")
     with _described(name, reached, config, eds) as (link, entry):
         dcf.refuse_other(link, entry, entry.dictionary, entry.dictionary.path)
         unread: list[str] = []
         values = {**dcf.backup(link, entry, unread), **dcf.stamp(entry.dictionary, datetime.datetime.now())}
     write_whole(output, dcf.as_dcf(entry.dictionary, entry.node_id, values), overwrite=True)
+    if concise is not None:
+        write_whole(concise, dcf.concise(read_dcf(output)), overwrite=True)
     if json:
         terminal.emit({"node": name, "file": str(output), "parameters": len(values), "unread": unread})
     else:
@@ -426,7 +432,7 @@ def compare(name: Name, file: File, reached: Bus, config: options.Config = None,
 
     Example: bowden node backup servo -o servo.dcf && bowden node compare servo servo.dcf
     """
-    from master.network import dcf
+    from master.node_access import dcf
 
     found = _against_a_dcf(name, file, reached, config, dcf.compare)
     _tell(name, file, found, "differ", json=json)
@@ -443,7 +449,7 @@ def restore(
 
     Example: bowden node backup servo -o servo.dcf && bowden node restore servo servo.dcf
     """
-    from master.network import dcf
+    from master.node_access import dcf
 
     found = _against_a_dcf(name, file, reached, config, dcf.restore, force=force, acts=True)
     _tell(name, file, found, "restored", json=json)
@@ -454,9 +460,9 @@ def _against_a_dcf(name: str, file: Path, reached: Bus, config: Path | None, act
                    **guarded: bool) -> list[ParameterDifference]:
     """Return the result of `act` on a node and the node's DCF."""
     from eds.dictionary import read as read_dcf
-    from master.network import dcf
+    from master.node_access import dcf
 
-    node_id = _node_id(name, reached, config)
+    node_id = node_id_of(name, reached, config)
     given = read_dcf(file, node_id)
     with _described(name, reached, config, file, **guarded) as (link, entry):
         dcf.refuse_other(link, entry, given, str(file))
@@ -469,7 +475,7 @@ def _described(name: str, reached: Bus, config: Path | None, eds: Path | None,
     """Return a link and the entry of a node that has a dictionary, in PRE-OPERATIONAL where nothing else is live."""
     from eds.bench.bench_network import wire
     from eds.cia301 import NmtCommand
-    from master.network.dcf import NamedNode
+    from master.node_access.dcf import NamedNode
     from parameters import InputError
 
     known = {entry.name: entry for entry in wire(reached.sections(config)["network"]).nodes.values()}
@@ -490,8 +496,8 @@ def _node(name: str, reached: Bus, config: Path | None, eds: Path | None, *, for
     from bowden.bench.any_node import dictionary_of, linked
     from master.node_access.remote_node import NodeAccess
 
-    node_id = _node_id(name, reached, config)
-    with linked(reached.chosen(), bitrate_of(reached, config)) as link:
+    node_id = node_id_of(name, reached, config)
+    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
         if acts:
             refuse_other_master(link, force)
         link.sdo_read(node_id, 0x1000)
@@ -500,14 +506,15 @@ def _node(name: str, reached: Bus, config: Path | None, eds: Path | None, *, for
 
 def refuse_other_master(link: Link, force: bool) -> None:
     """Raise `InputError` while another master is on the bus, unless `force`."""
-    from master.node_access.remote_node import other_master
+    from master.network.bus_survey import other_master
     from parameters import InputError
 
     if not force and (seen := other_master(link)):
         raise InputError(f"another master runs this bus: {seen}; stop it, or add --force.")
 
 
-def _node_id(name: str, reached: Bus, config: Path | None) -> int:
+def node_id_of(name: str, reached: Bus, config: Path | None) -> int:
+    """Return the node id of a number or of a name of the configuration; `InputError` for another word."""
     from eds.bench.bench_network import wire
     from parameters import InputError
 

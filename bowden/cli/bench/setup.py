@@ -71,6 +71,7 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
 
     sections = configuration.read(file, any_shape=True)
     network, limits = sections["network"], sections["limits"]
+    refused = network.bench.refusal()
     missing = lacks(network)
     if missing:
         terminal.emit({"lacks": missing}) if json else print("\n".join(missing))
@@ -82,7 +83,7 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
     fits = rate_that_fits(built)
     if json:
         terminal.emit({
-            "limits_above_packaged": above, "limits_raised": limits.raised,
+            "refusal": refused, "limits_above_packaged": above, "limits_raised": limits.raised,
             "limits": {path: {name: getattr(found, name) for name, _ in _numbers(found)}
                        for path, found in of_paths.items()},
             "safety_functions": safety_table.as_objects(held), "held_by_nobody": nobody,
@@ -112,7 +113,10 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
         if fits != network.rate_hz:
             print(f"{file}: rate_hz = {network.rate_hz} is beyond the goal; " + (
                 f"{fits} Hz would fit." if fits else "no rate would fit."))
-    return 0 if found.load_percent <= LOAD_GOAL_PERCENT and (limits.raised or not (above or nobody)) else 1
+        if refused is not None:
+            print(f"{file}: no command runs this bench: {refused}. The wire is planned all the same.")
+    runs = refused is None and (limits.raised or not (above or nobody))
+    return 0 if runs and found.load_percent <= LOAD_GOAL_PERCENT else 1
 
 
 def _numbers(section: Any) -> list[tuple[str, str]]:

@@ -42,8 +42,9 @@ Scheduler = Annotated[str | None, typer.Option(
 Tls = Annotated[Path | None, typer.Option(
     "--scheduler-tls", metavar="DIR", help="With --scheduler: ca.pem, cert.pem and key.pem.")]
 Planned = Annotated[str | None, typer.Option(
-    "--plan", metavar="EXPERIMENT", help="Without a trial: the smallest of each effect that gait, or an experiment of "
-    "bowden trial --experiment, would show.")]
+    "--plan", metavar="EXPERIMENT", autocompletion=options.experiments,
+    help="Without a trial: the smallest of each effect that gait, or an experiment of bowden trial --experiment, would "
+    "show.")]
 Noise = Annotated[float | None, typer.Option(metavar="N", help="With --plan: noise of both tension sensors, 1σ.")]
 
 READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
@@ -213,9 +214,9 @@ def _steps(*, shown: bool) -> Iterator[Callable[[str, float], None]]:
         yield lambda what, share: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
                TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("diagnosing", total=1.0)

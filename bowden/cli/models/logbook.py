@@ -15,7 +15,7 @@ from bowden.cli.command import CommandGroup
 if TYPE_CHECKING:
     from logbook.bench_state import BenchState
 
-logbook = CommandGroup(help="A bench over months.", rich_markup_mode=None)
+logbook = CommandGroup(help="Track a bench's constants over months.", rich_markup_mode=None)
 app.add_typer(logbook, name="logbook")
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The logbook's folder.", show_default=False)]

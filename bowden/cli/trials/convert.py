@@ -25,6 +25,8 @@ B = Annotated[Path | None, typer.Argument(metavar="B", help="Another one.", show
 History = Annotated[Path | None, typer.Option(
     "--logbook", metavar="DIR", help="In place of B: the bench's own history.")]
 Map = Annotated[Path | None, typer.Option("--map", metavar="FILE", help="map.toml: names, units, offsets of columns.")]
+Sheet = Annotated[str | None, typer.Option(
+    metavar="NAME", help="Sheet of a workbook (default: the first with a table).")]
 Guess = Annotated[bool, typer.Option("--guess", help="Write a commented map to -o, guessed from the table, to check.")]
 Mat73 = Annotated[bool, typer.Option("--mat73", help="With .mat: MATLAB v7.3, which is HDF5, in place of v5.")]
 Controllers = Annotated[bool, typer.Option(
@@ -40,6 +42,7 @@ def import_(
     output: options.Output,
     columns: Map = None,
     guess: Guess = False,
+    sheet: Sheet = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
@@ -52,16 +55,20 @@ def import_(
     """
     from bowden import output_files
     from parameters import InputError
-    from trial.convert.csv_table import read_map
+    from trial.convert.csv_file import Dialect
+    from trial.convert.csv_table import Map, read_map
     from trial.convert.imports import import_file
 
     output_files.refuse([output], overwrite=overwrite, inputs=[source, columns])
     if guess:
         if columns is not None:
             raise InputError("--guess writes a map and --map reads one; leave one of them out.")
-        return _guess(source, output, overwrite=overwrite, json=json)
+        return _guess(source, output, sheet or "", overwrite=overwrite, json=json)
     output_files.refuse_ending(output, ".mcap", what="a trial")
     mapped = None if columns is None else read_map(columns)
+    if sheet:
+        mapped = mapped or Map()
+        mapped.dialect = Dialect(sheet=sheet)
     with terminal.progress(f"importing {source}", shown=not json) as update:
         report = import_file(source, output, mapped=mapped, overwrite=overwrite, progress=update)
     if json:
@@ -78,14 +85,14 @@ def import_(
     return 0
 
 
-def _guess(source: Path, output: Path, *, overwrite: bool, json: bool) -> int:
+def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool, json: bool) -> int:
     from bowden import output_files
     from parameters.files import write_whole
     from trial.convert import guess_map
     from trial.convert.imports import table_of
 
     output_files.refuse_ending(output, ".toml", what="a map")
-    sheet = table_of(source)
+    sheet = table_of(source, sheet_name)
     write_whole(output, guess_map.text(sheet, str(output)), overwrite=overwrite)
     found = guess_map.guesses(sheet)
     others = guess_map.unassigned(sheet, found)

@@ -21,7 +21,7 @@ def report(
 ) -> int:
     """Write a trial as one offline HTML page.
 
-    Figures, plots that zoom together, timing, bus load and events.
+    Figures, plots that zoom together, timing, bus load and events; of several force paths all, or one with --path.
 
     Example: bowden report trial.mcap -o report.html
     """
@@ -31,7 +31,7 @@ def report(
     output_files.refuse([output], overwrite=overwrite, inputs=[trial])
     output_files.refuse_ending(output, ".html", ".htm", what="a page")
     with terminal.waiting(f"reading {trial}", shown=not json):
-        recorded = opened(trial, path)
+        recorded = opened(trial, path, whole=True)
     size = reports.write_trial_page(recorded, output, overwrite=overwrite,
                                     progress=terminal.Terminal(shown=not json))
     terminal.emit({"report": str(output), "bytes": size}) if json else print(f"{output}: {size / 1e6:.1f} MB.")

@@ -56,10 +56,11 @@ def trial(
     Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
     from bowden import output_files
-    from bowden.bench import configuration
+    from bowden.bench import configuration, light_can
     from bowden.cli import ending
     from bowden.trials import provenance, session, setup_checks
 
+    light_can.load()
     output_files.refuse_ending(output, ".mcap", what="a trial")
     output_files.refuse_picture(picture)
     inputs = [knee, desired, calibration, controller_model, config, simulated.plant_model]
@@ -95,7 +96,8 @@ def trial(
         from bowden.models import logbook_entries
 
         with terminal.waiting("entering the trial in the logbook", shown=not json):
-            result["logbook"] = logbook_entries.entered(entered, output, logbook_entries.label(label, chosen), result)
+            result["logbook"] = logbook_entries.entered(
+                entered, Path(result["trial"]), logbook_entries.label(label, chosen), result)
     if json:
         terminal.emit(result)
     elif result["trial"] is None:
@@ -103,7 +105,7 @@ def trial(
     else:
         if "watch" in result:
             _show_watch(result["watch"])
-        _show(result, output, picture, chosen.told, dry_run=dry_run,
+        _show(result, Path(result["trial"]), picture, chosen.told, dry_run=dry_run,
               with_end=sections["network"].bench.measures_end)
         if "logbook" in result:
             print(f"Logbook: {entered}, trial {result['logbook']['trial']}, session {result['logbook']['session']}")

@@ -1,0 +1,125 @@
+"""The first day of five users, typed: `python -m benchmarks.walk [--user data|controller|can|months|bench …]`.
+
+Prints for each user the time to the first success, and for each command its time, exit status and messages.  Ends
+with 1 if a command meets a traceback or another exit status than the walk expects.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, NamedTuple
+
+BOWDEN: Final = (sys.executable, "-c", "from bowden.cli import main; main()")
+SHORT: Final = "--cycles 2 --settle 0 --period 1.0"
+CONTROLLER: Final = '''from dataclasses import dataclass
+from bowden.controllers import Controller, ControllerOutput, Trace, parameter
+
+@dataclass(frozen=True)
+class Gains:
+    share: float = parameter(1.0, "", "share of the stretch fed forward", low=0.5, high=1.5, source="tuned")
+
+class Own(Controller[None]):
+    parameters = Gains
+    def __init__(self, model, gait, conditions):
+        self.gait, self.share = gait, conditions.own.share
+    def initial(self):
+        return None
+    def step(self, seen, state):
+        i = seen.sample % self.gait.samples
+        target = self.share * self.gait.stretch[i] + self.gait.swing[i] - self.gait.slack[i]
+        return ControllerOutput(target, self.gait.knee[i]), None, Trace(self.gait.desired[i])
+'''
+
+
+class Typed(NamedTuple):
+    """A command line behind `bowden`, the exit status that the walk expects, and whether it is the user's aim."""
+
+    words: str
+    status: int = 0
+    success: bool = False
+
+
+def _table() -> None:
+    rows = ["Zeit [s];Seilweg [mm];Kraft vorne [g];Kraft hinten [g];Knie [deg];Bemerkung"]
+    for k in range(1200):
+        end = 12.0 + 10.0 * math.sin(math.pi * k / 100)
+        turn = math.cos(math.pi * k / 100)
+        start = end * (1.3 + 0.2 * math.tanh(3.0 * turn))
+        slow = f"{20 + 0.3 * end:.4f}" if k % 10 == 0 else ""
+        rows.append(f"{k / 100:.2f};{slow};{102 * start:.3f};{102 * end:.3f};{20 + 5 * turn:.3f};x"
+                    .replace(".", ","))
+    Path("lab.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def _controller() -> None:
+    Path("own.py").write_text(CONTROLLER, encoding="utf-8")
+
+
+USERS: Final[dict[str, tuple[Callable[[], None], tuple[Typed, ...]]]] = {
+    "data": (_table, (Typed("info lab.csv"), Typed("diagnose lab.csv", 2), Typed("import lab.csv --guess -o map.toml"),
+                      Typed("import lab.csv --map map.toml -o lab.mcap"),
+                      Typed("report lab.mcap -o lab.html", success=True))),
+    "controller": (_controller, (
+        Typed(f"trial --controller own.py:Own {SHORT} -o own.mcap", success=True),
+        Typed(f"trial --controller own.py:Own --set share=9 {SHORT} -o b.mcap", 2),
+        Typed("sweep --grid controller=own.py:Own,none --grid controller.share=0.95,1.05 --grid cycles=1 "
+              "--grid settle=0 --workers 1 -o sweep.csv"), Typed("compare sweep.csv --controllers"))),
+    "can": (lambda: None, (
+        Typed("node scan", success=True), Typed("node read 1 0x1018:1"), Typed("node scna", 2),
+        Typed(f"trial {SHORT} -o bus.mcap"), Typed("export bus.mcap -o bus.log"), Typed("info bus.log"))),
+    "months": (lambda: None, (
+        Typed("logbook init leg"), Typed(f"trial {SHORT} --day 0 --logbook leg -o 0.mcap"),
+        Typed(f"trial {SHORT} --day 1 --logbook leg -o 1.mcap", success=True), Typed("logbook show leg"),
+        Typed("logbook report leg -o leg.html"))),
+    "bench": (lambda: None, (
+        Typed("init --shape bench_two_legs -o bench.toml"), Typed("check config bench.toml"),
+        Typed(f"trial --config bench.toml {SHORT} -o legs.mcap", success=True),
+        Typed("report legs.mcap -o legs.html"), Typed("diagnose legs.mcap", 2))),
+}
+"""Users by name: what lies in the folder before, and the commands."""
+
+
+def walk(name: str) -> bool:
+    """Type one user's commands in an empty folder and print what they meet; return whether all went as expected."""
+    prepare, commands = USERS[name]
+    prepare()
+    began, first, good = time.monotonic(), None, True
+    for one in commands:
+        at = time.monotonic()
+        told = subprocess.run([*BOWDEN, *one.words.split()], capture_output=True, text=True, check=False)
+        messages = [*told.stderr.splitlines(), *told.stdout.splitlines()[:4]]
+        expected = told.returncode == one.status and "Traceback" not in told.stderr and "Error in" not in told.stderr
+        good &= expected
+        if one.success and expected and first is None:
+            first = time.monotonic() - began
+        print(f"  {'' if expected else 'NOT EXPECTED '}{time.monotonic() - at:5.1f} s, {told.returncode}: "
+              f"bowden {one.words}")
+        print("".join(f"           {line}\n" for line in messages), end="", flush=True)
+    print(f"{name}: first success after {'no time: none' if first is None else f'{first:.1f} s'}\n", flush=True)
+    return good and first is not None
+
+
+def main() -> int:
+    """Walk as the named users, or as all of them."""
+    import os
+
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("--user", nargs="*", default=list(USERS), choices=list(USERS))
+    good = True
+    for name in asked.parse_args().user:
+        with tempfile.TemporaryDirectory(prefix="walk-") as folder:
+            os.chdir(folder)
+            good &= walk(name)
+            os.chdir("/")
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

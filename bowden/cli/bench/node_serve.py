@@ -1,0 +1,162 @@
+"""`bowden node guard` and `bowden node serve`: node guarding of a node, and any EDS as a node on a bus."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.bench.node import Name, bitrate_of, node, node_id_of
+from bowden.cli.option_groups import Bus, grouped
+
+if TYPE_CHECKING:
+    from bowden.testing import CanBus, CanopenNode
+    from nodes import Application
+
+FAULTS = {"drop": None, "delay": "ms", "corrupt": "bit", "duplicate": None, "shorten": "size"}
+"""Kinds of faults of single frames, each with the key of its number."""
+
+
+@node.command()
+@grouped
+def guard(
+    name: Name, reached: Bus,
+    period: Annotated[int, typer.Option("--period", metavar="MS", min=1, max=65_535, help="Guard time.")] = 100,
+    life: Annotated[int, typer.Option("--life", metavar="N", min=1, max=255,
+                                      help="Unanswered remote frames that are a loss.")] = 3,
+    seconds: Annotated[float, typer.Option("--for", metavar="S", min=0.0, help="Time to guard.")] = 10.0,
+    config: options.Config = None, json: options.Json = False,
+) -> int:
+    """Guard a node that has no heartbeat by remote frames; exit status 1 if it is lost.
+
+    Example: bowden node guard 1 --for 1 || true
+    """
+    from bowden.bench.any_node import linked
+    from master.network.node_guard import NodeGuard
+    from master.node_access.remote_node import state_name
+
+    node_id = node_id_of(name, reached, config)
+    events: list[dict[str, object]] = []
+    lost = False
+    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
+        guarded = NodeGuard(link, node_id, period * 1_000_000, life)
+        began_ns = link.clock()
+        while link.clock() - began_ns < seconds * 1e9:
+            event = guarded.poll()
+            lost = lost or guarded.lost
+            if event is not None:
+                text = state_name(guarded.state or 0) if event == "state" else event
+                events.append({"time_s": (guarded.asked_ns - began_ns) / 1e9, "event": text})
+                if not json:
+                    print(f"{(guarded.asked_ns - began_ns) / 1e9:8.3f}  {text}")
+    if json:
+        terminal.emit({"node": node_id, "asked": guarded.asked, "unanswered": guarded.unanswered, "events": events})
+    else:
+        print(f"{guarded.asked} remote frames, {guarded.unanswered} unanswered.")
+    return 1 if lost or guarded.state is None else 0
+
+
+@node.command()
+@grouped
+def serve(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="EDS or DCF, or the name of a packaged one.",
+                                        show_default=False)],
+    node_id: Annotated[int, typer.Option("--node-id", metavar="ID", help="Node id 1 … 127; 255: LSS gives it one.",
+                                         show_default=False)],
+    reached: Bus,
+    profile: Annotated[int | None, typer.Option(
+        metavar="NUMBER", help="402: a drive; 401: inputs and outputs; without it, the objects alone.")] = None,
+    settings: Annotated[list[str] | None, typer.Option("--set", metavar="OBJECT=VALUE",
+                                                       help="Value of an object at start; repeatable.")] = None,
+    faults: Annotated[list[str] | None, typer.Option(
+        "--fault", metavar="KIND=COBID,…", help="drop, delay, corrupt, duplicate or shorten frames: "
+        "drop=585,count=2,after=10; delay=185,ms=5; repeatable.")] = None,
+    serial: Annotated[int | None, typer.Option(metavar="NUMBER", help="Serial number, 1018:04.")] = None,
+    store: Annotated[Path | None, typer.Option(metavar="FILE", help="File of 1010 and LSS.")] = None,
+    seconds: Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")] = None,
+    config: options.Config = None, json: options.Json = False,
+) -> int:
+    """Serve a node on a bus from any EDS, in wall time until Ctrl-C.
+
+    It boots as its EDS says: SDO, PDO, NMT, heartbeat, EMCY, SYNC, LSS, store and restore.
+
+    Example: bowden node serve knee_drive --node-id 5 --interface udp_multicast --channel 239.74.163.2 --for 1
+    """
+    import can
+
+    from bowden.bench import buses
+    from bowden.cli import ending
+    from bowden.testing import CanBus
+    from parameters import InputError
+
+    if reached.interface is None:
+        raise InputError("node serve: a node is for other programs' bus; add --interface socketcan --channel can0 (or "
+                         "another).")
+    served = CanBus()
+    made = served.add_node(file, node_id, profile=_application(profile), serial=serial, store=store)
+    for text in settings or ():
+        _set(made, text)
+    counted = [_fault(served, text) for text in faults or ()]
+    for fault in made.eds_faults:
+        terminal.remark(fault)
+    deadline = None if seconds is None else time.monotonic() + seconds
+    with buses.opened_one(reached.chosen(), bitrate_of(reached, config)) as bus, ending.interrupted() as ended:
+        terminal.remark(f"node {node_id} is on {reached.interface} {reached.channel or ''}; Ctrl-C ends it.")
+        try:
+            figures = served.serve(bus, time.monotonic_ns,
+                                   lambda: ended() or (deadline is not None and time.monotonic() >= deadline),
+                                   echoes=reached.interface == "udp_multicast")
+        except can.CanOperationError as error:
+            terminal.remark(f"{reached.interface} is gone ({error}); the node ends.")
+            return 1
+    result = {"node": made.node_id, "state": made.state.name, "received": figures.received, "sent": figures.sent,
+              "lost": figures.lost, "faults": [one.struck for one in counted]}
+    terminal.emit(result) if json else print(", ".join(f"{name} {value}" for name, value in result.items()))
+    return ending.CTRL_C if ended() else 0
+
+
+def _application(profile: int | None) -> Application | None:
+    from nodes import GenericDrive, IoModule
+    from parameters import InputError
+
+    if profile not in (None, 401, 402):
+        raise InputError(f"--profile {profile}: is none of 401 and 402; give one of them, or leave it out.")
+    return None if profile is None else GenericDrive() if profile == 402 else IoModule()
+
+
+def _set(made: CanopenNode, text: str) -> None:
+    from eds.datatype import decode
+    from master.node_access import object_text
+    from parameters import InputError
+
+    place, equals, value = text.partition("=")
+    if not equals:
+        raise InputError(f"--set {text}: expected OBJECT=VALUE; write for instance 6064=1000.")
+    at = object_text.find(made.dictionary, place)
+    entry = made.dictionary.entries.get(at)
+    if entry is None:
+        raise InputError(f"--set {text}: {made.dictionary.path} has no such object; give one of its own.")
+    made[at >> 8, at & 0xFF] = decode(entry.data_type, object_text.encoded(entry.data_type, value, f"--set {text}"))
+
+
+def _fault(served: CanBus, text: str) -> Any:
+    from parameters import InputError
+
+    kind, _, rest = text.partition("=")
+    cob_id, *more = rest.split(",")
+    try:
+        numbers = {key: int(value) for key, _, value in (one.partition("=") for one in more)}
+        needed = FAULTS[kind]
+        if set(numbers) - {"count", "after", needed} or (needed is not None and needed not in numbers):
+            raise ValueError
+        count, after, number = numbers.get("count"), numbers.get("after", 0), numbers.get(needed or "")
+        options: dict[Any, int] = {} if number is None else {needed: number}
+        if "ms" in options:
+            options = {"delay_ns": options["ms"] * 1_000_000}
+        return getattr(served.faults, kind)(int(cob_id, 16), count, after=after, **options)
+    except (ValueError, KeyError):
+        raise InputError(f"--fault {text}: expected KIND=COBID with count=N, after=N, and ms=, bit= or size= for "
+                         "delay, corrupt and shorten; write for instance drop=585,count=2.") from None
