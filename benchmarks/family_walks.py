@@ -113,17 +113,17 @@ def measure(kind: str, serial: int, earlier: Mapping[str, Any] | None = None) ->
              "calibration": _scalars(text), "discrepancy": _discrepancy(text)}
     for period in PERIODS_S:
         walk = {"gait.peak_n": peak, "gait.period_s": period}
-        learnt = _walked(kind, serial, text, "extended", CYCLES, SETTLE, walk)
+        learnt = walked(kind, serial, text, "extended", CYCLES, SETTLE, walk)
         if earlier is not None:
             before = earlier[f"{period:g}"]
             said[f"{period:g}"] = {**learnt, **{name: before.get(name) for name in ("blind", "paper", "loose")},
                                    "before": before.get("before", {name: before.get(name) for name in BEFORE})}
             continue
-        blind = _walked(kind, serial, text, "extended", 1, 0, {**walk, "impedance.stiffness_n_m": 1e6})
-        paper = _walked(kind, serial, text, "paper", 2, 1, walk)
+        blind = walked(kind, serial, text, "extended", 1, 0, {**walk, "impedance.stiffness_n_m": 1e6})
+        paper = walked(kind, serial, text, "paper", 2, 1, walk)
         loose: Mapping[str, Any] = {}
         if learnt.get("true_max_idle_tension_n", 0.0) > IDLE_N:
-            loose = _walked(kind, serial, text, "none", 2, 1, {**walk, "gait.idle_slack_m": LOOSE_SLACK_M})
+            loose = walked(kind, serial, text, "none", 2, 1, {**walk, "gait.idle_slack_m": LOOSE_SLACK_M})
         said[f"{period:g}"] = {**learnt, "blind": blind.get(TRUE), "paper": paper.get(TRUE),
                                "loose": loose.get("true_max_idle_tension_n")}
     return said
@@ -190,8 +190,9 @@ def _needs(kind: str, serial: int, peak: float) -> float:
     return force
 
 
-def _walked(kind: str, serial: int, text: str, controller: str, cycles: int, settle: int,
-            more: Mapping[str, Any]) -> dict[str, Any]:
+def walked(kind: str, serial: int, text: str, controller: str, cycles: int, settle: int,
+           more: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the results of a walk on day 1 by the calibration `text`; `more`: further settings of the row."""
     from bowden.sweep import row_trial
 
     row = bench_row(kind, serial, 1, **{

@@ -1,8 +1,8 @@
 """Types and base class for a controller plug-in; docs/controllers.md explains them with one that runs."""
 
+from estimation.transfer.homing_fit import HomingFit
 from master.control.controller import Column, Conditions, Controller, ControllerInput, ControllerOutput, Trace
 from master.control.gait_table import GaitTable
-from master.control.homing_fit import HomingFit
 from master.settings import Impedance
 from parameters import parameter
 from physics.calibration import Calibration

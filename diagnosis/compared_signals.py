@@ -30,8 +30,3 @@ class Compared:
     def along(self, name: str) -> Array:
         """Return another signal at the same samples; NaN if the trial lacks that signal."""
         return self.signals[name] if name in self.signals else np.full(self.measured.size, np.nan)
-
-
-def directions(speed: Array, still_m_s: float = 1e-3) -> dict[str, NDArray[np.bool_]]:
-    """Return masks of the samples with the rope pulled, paid out or still, from the rope's `speed`, m/s."""
-    return {"pulled": speed > still_m_s, "paid out": speed < -still_m_s, "still": np.abs(speed) <= still_m_s}

@@ -16,9 +16,10 @@ from diagnosis.findings import Findings
 from estimation.data.table import Table
 from parameters import InputError
 from physics.bench_model import RIG
-from physics.calibration import VERSION, rows
+from physics.calibration import rows
 from physics.effects.catalogue import CATALOGUE, apply
 from physics.effects.effects_table import EVIDENCE, TABLE
+from physics.older_files import VERSION
 
 HEAD: Final = (
     "# What a diagnosis found that the simulation lacks. The simulator loads it as --plant-model, the extended\n"

@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnosis import simulation_fit, wire_faults
-from diagnosis.bench_fit import oriented, turned
+from diagnosis import wire_faults
 from diagnosis.evidence.evidence_finder import NO_REFERENCE, EvidenceFinder
 from diagnosis.evidence.held_out import cycles_of
 from diagnosis.findings import Findings
 from diagnosis.laws.law_findings import Laws, discover
 from diagnosis.wire_faults import WireFindings
+from estimation import simulation_fit
+from estimation.bench_fit import oriented, turned
 from estimation.data import integrity, scales, table
 from estimation.data.table import Table
 from estimation.likelihood_data import MOTION
@@ -148,6 +149,8 @@ class Finder:
             return Findings("refused", warnings=[wrong, *warnings])
         undecided = _undecided(groups[0], found)
         again = undecided is not None and found.experiment in {t.experiment for t in groups[0]}
+        unstable = core.reference([*groups[0], *groups[1]]).warning()
+        found = replace(found, warnings=[*([unstable] if unstable else []), *found.warnings])
         return replace(found, bench=self._model(core, groups[0]), undecided=undecided,
                        experiment=None if again else found.experiment)
 

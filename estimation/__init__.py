@@ -5,6 +5,7 @@
 
 y: measured outputs of a trial, m: its measured motion.  Modules, lowest first:
 
+    transfer               fits of the transfer model that controllers invert
     data                   reading of trials and tables, checks for contradictions
     likelihood_data        signals on one time grid
     forward_model          interface of a forward model
@@ -17,4 +18,8 @@ y: measured outputs of a trial, m: its measured motion.  Modules, lowest first:
     linear_sums            sums of linearised trials: constants, discrepancy, effects
     running_evidence       evidence of effects by gait cycle, while a trial runs
     sessions               sessions of a bench over months: scatter, a step or a ramp of an effect
+    simulation             many-segment simulation under the measured motion of a trial
+    simulation_fit         its parameters, from the fitted force path
+    rig_fit                constants of another rig
+    bench_fit              the file of `bowden fit`
 """

@@ -46,17 +46,20 @@ def stated_values(calibration: Mapping[str, Any] | None) -> dict[str, Stated]:
     1σ has the difference between the value's equation and that of the path, too (`SURROGATE`).
     """
     model = bench_model.from_tables(calibration or {}, "calibration")
-    middle, variance = _simulated(model), dict[str, float]()
-    for name, known in model.evidence.items():
-        if not math.isfinite(known.low + known.high):
-            continue
-        low, high = (_simulated(replace(model, values={**model.values, name: end})) for end in (known.low, known.high))
-        for parameter in middle:
-            moved = (high[parameter] - low[parameter]) / (2.0 * 1.96)
-            if moved:
-                variance[parameter] = variance.get(parameter, 0.0) + moved**2
-    return {name: Stated(middle[name], math.hypot(math.sqrt(told), SURROGATE * abs(middle[name])))
-            for name, told in variance.items()}
+    if model.simulation:
+        model = replace(model, values=model.simulation, evidence=model.simulation_evidence, simulation={},
+                        correlation=None)
+    middle = _simulated(model)
+    names = [name for name, known in model.evidence.items() if math.isfinite(known.low + known.high)]
+    moved = np.zeros((len(names), len(middle)))
+    for row, name in zip(moved, names, strict=True):
+        low, high = (_simulated(replace(model, values={**model.values, name: end}))
+                     for end in (model.evidence[name].low, model.evidence[name].high))
+        row[:] = [(high[parameter] - low[parameter]) / (2.0 * 1.96) for parameter in middle]
+    together = np.eye(len(names)) if model.correlation is None else model.correlation.over(names)
+    variance = np.einsum("ip,ij,jp->p", moved, together, moved)
+    return {name: Stated(value, math.hypot(math.sqrt(max(of, 0.0)), SURROGATE * abs(value)))
+            for (name, value), of in zip(middle.items(), variance, strict=True) if of > 0.0}
 
 
 def _simulated(model: BenchModel) -> dict[str, float]:

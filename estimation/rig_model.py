@@ -30,7 +30,7 @@ from physics.effects.rig_hypotheses import (
     tension_hypotheses,
 )
 from physics.laws import Array
-from physics.parameters import RELATION_PARAMETERS
+from physics.parameters import ESTIMATED
 from physics.rig_constants import (
     END,
     FORCE,
@@ -210,7 +210,7 @@ class RigModel(ForwardModel):
     def limits(self, effect: str, parameter: str) -> tuple[float, float, str]:
         """Return the bounds of an effect's parameter on rigs of any size, and its unit on this linear or turning axis.
         """
-        row = RELATION_PARAMETERS[parameter]
+        row = ESTIMATED[parameter]
         low, high = row.rig_bounds
         return low, high, self.rig.unit(row.unit)
 

@@ -15,23 +15,25 @@ from pathlib import Path
 from typing import Any, Final
 
 from parameters import InputError, Remark, read_toml
-from physics import calibration, end_discrepancy, setup_check, terms
-from physics.calibration import READ, VERSION, Calibration, ScalarEvidence
+from physics import calibration, correlation, end_discrepancy, setup_check, terms
+from physics.calibration import Calibration, ScalarEvidence
 from physics.conversions import RELATED, SIMULATED, UNRELATED, converted
+from physics.correlation import Correlation
 from physics.effects.catalogue import CATALOGUE, complete
 from physics.effects.effects_table import EVIDENCE, TABLE, stated
 from physics.end_discrepancy import EndDiscrepancy
-from physics.parameters import BY_PLANT, PARAMETERS, RELATION_PARAMETERS
+from physics.older_files import OLDER_TABLES, READ, VERSION, translated
+from physics.parameters import BY_PLANT, ESTIMATED, PARAMETERS, healthy
 from physics.terms import Term
 
 FITTED: Final = "fitted"
 """The table that `bowden fit` writes beside the parameters: what its figures are."""
 RIG: Final = "rig"
 """The table that `bowden fit` writes of a rig of another kind in place of parameters: nothing simulates it."""
-OLDER: Final = "constants"
-"""Former name of the table `[parameters.NAME]` of `bowden fit`."""
-TABLES: Final = ("version", "bench", "parameters", "scalars", end_discrepancy.TABLE, TABLE, EVIDENCE, FITTED, RIG,
-                 OLDER, setup_check.TABLE, terms.ARRAY)
+SIMULATION: Final = "simulation"
+"""The table of `bowden fit` of the parameters of the many-segment simulation, fitted to the same trials."""
+TABLES: Final = ("version", "bench", "parameters", *OLDER_TABLES, end_discrepancy.TABLE, TABLE, EVIDENCE, FITTED, RIG,
+                 SIMULATION, correlation.TABLE, setup_check.TABLE, terms.ARRAY)
 """Tables of a bench model; a plant model may hold tables of nominal values, too."""
 Values = Mapping[str, float]
 
@@ -43,8 +45,10 @@ class BenchModel:
     `values`: by name of `physics.parameters`, in any form of `physics.conversions`; `evidence`: 95 % interval, R²,
     date and trial by the same names; `effects`: name → parameter → value; `found`: the data that the effects were
     found on; `fitted`: figures of `bowden fit` (empty: the values are not from a fit); `rig`: constants of a rig of
-    another kind by name, each with value, unit and interval; `bench`: the bench's name ("": none); `label`: the file,
-    or "nominal"; `discrepancy`: START → END beyond the values, of gait trials with END; `terms`: modulated
+    another kind by name, each with value, unit and interval; `simulation`: parameters of the simulation that were
+    fitted by themselves, with their evidence, in place of those converted from `values`; `bench`: the bench's name
+    ("": none); `label`: the file, or "nominal"; `discrepancy`: START → END beyond the values, of gait trials with END;
+    `correlation`: of the values that were estimated together; `terms`: modulated
     constants, found by `bowden discover`.
     """
 
@@ -57,6 +61,9 @@ class BenchModel:
     fitted: Mapping[str, Any] = field(default_factory=dict)
     rig: Mapping[str, Any] = field(default_factory=dict)
     discrepancy: EndDiscrepancy | None = None
+    correlation: Correlation | None = None
+    simulation: Values = field(default_factory=dict)
+    simulation_evidence: Mapping[str, ScalarEvidence] = field(default_factory=dict)
     terms: tuple[Term, ...] = ()
 
     def _repr_html_(self) -> str:
@@ -78,14 +85,19 @@ class BenchModel:
     def calibration(self) -> Calibration:
         """Return the controller's view; an unknown scalar has its assumed value and is named in `lacking`."""
         return calibration.of_values(self.values, self.evidence, label=self.label, bench=self.bench,
-                                     beyond=self.discrepancy)
+                                     beyond=self.discrepancy, together=self.correlation)
+
+    def simulation_values(self) -> dict[str, float]:
+        """Return every parameter of the simulation, with the effects; nominal where the model has none."""
+        return {**healthy(), **self.related(), **{
+            name: value for row in self.effects.values() for name, value in row.items()}}
 
     def simulated(self) -> dict[str, dict[str, float]]:
         """Return the values that the simulation runs on, table → key → value, without effects.
 
         A value outside the simulation's bounds is replaced by the bound, with a `Remark`.
         """
-        told = converted(SIMULATED, converted(UNRELATED, self.values))
+        told = converted(SIMULATED, converted(UNRELATED, self.values)) | converted(UNRELATED, self.simulation)
         tables: dict[str, dict[str, float]] = {}
         for key, name in BY_PLANT.items():
             if name in told:
@@ -102,9 +114,9 @@ class BenchModel:
         return kept
 
     def related(self) -> dict[str, float]:
-        """Return the inputs of the diagnosis' prediction equations, without effects, as far as they are given."""
-        told = converted(RELATED, converted(SIMULATED, self.values))
-        return {name: told[name] for name in RELATION_PARAMETERS if name in told}
+        """Return the parameters that a fit of the simulation estimates, without effects, as far as they are stated."""
+        told = converted(RELATED, converted(SIMULATED, self.values)) | dict(self.simulation)
+        return {name: told[name] for name in ESTIMATED if name in told}
 
     def at_work(self) -> dict[str, float]:
         """Return the parameters that the effects set, by name."""
@@ -115,9 +127,10 @@ class BenchModel:
     def text(self) -> str:
         """Return the model as TOML; `read` gives the same one back, comments and intervals of effects aside."""
         lines = [f"version = {VERSION}", f'bench = "{self.bench}"', *calibration.rows(self.values, self.evidence),
-                 *end_discrepancy.rows(self.discrepancy)]
+                 *correlation.lines(self.correlation), *end_discrepancy.rows(self.discrepancy)]
         if self.fitted:
             lines += ["", f"[{FITTED}]", *(f"{key} = {_cell(value)}" for key, value in self.fitted.items())]
+        lines += calibration.rows(self.simulation, self.simulation_evidence, SIMULATION)
         for name, row in self.rig.items():
             lines += ["", f"[{RIG}.{name}]", *(f"{key} = {_cell(value)}" for key, value in row.items())]
         if self.found:
@@ -148,7 +161,7 @@ def of_calibration(known: Calibration, effects: Mapping[str, Values] | None = No
     """Return the model of a calibration, with `effects` beyond it."""
     values, evidence = calibration.values_of(known)
     return BenchModel(values, evidence, dict(effects or {}), {}, known.bench, known.label,
-                      discrepancy=known.discrepancy)
+                      discrepancy=known.discrepancy, correlation=known.correlation)
 
 
 def read(path: str | Path, *, bench: str = "") -> BenchModel:
@@ -173,8 +186,9 @@ def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) ->
     """
     if "version" in tables and tables["version"] not in READ:
         raise InputError(f"{where}: version = {tables['version']!r}, expected {VERSION}; run bowden identify again.")
-    values, evidence = calibration.stated(
-        tables if OLDER not in tables else {**tables, "version": VERSION, "parameters": tables[OLDER]}, where)
+    tables = translated(tables, where)
+    values, evidence = calibration.stated(tables, where)
+    simulation, simulation_evidence = calibration.stated(tables, where, SIMULATION)
     found = tables.get(EVIDENCE, {})
     if not isinstance(found, Mapping):
         raise InputError(f"{where}: {EVIDENCE} is not a table; write it as [{EVIDENCE}].")
@@ -183,4 +197,5 @@ def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) ->
         raise InputError(f"{where}: tells the constants of a rig of another kind, which nothing simulates; diagnose "
                          "its trials with its reference trials, --healthy.")
     return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where, fitted, rig,
-                      end_discrepancy.stated(tables, where), terms.stated(tables, where))
+                      end_discrepancy.stated(tables, where), correlation.stated(tables, where), simulation,
+                      simulation_evidence, terms.stated(tables, where))

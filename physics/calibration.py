@@ -15,15 +15,16 @@ from pathlib import Path
 from typing import Any
 
 from parameters import InputError, Remark, checked, declarations, read_toml
-from physics import end_discrepancy, stretch
+from physics import correlation, end_discrepancy, stretch
 from physics.conversions import UNRELATED, converted, to_scalars
+from physics.correlation import Correlation
 from physics.end_discrepancy import EndDiscrepancy
-from physics.parameters import BY_CALIBRATION, CALIBRATION_UNITS, PARAMETERS, Parameter, assumed, current_names
+from physics.older_files import READ, VERSION, translated
+from physics.parameters import BY_CALIBRATION, PARAMETERS, Parameter, assumed
 
-VERSION = 2
-READ = (1, VERSION)
-"""Versions of the file that are read: 1 has [scalars.NAME] with a calibration's names."""
 NOMINAL = "nominal"
+PARAMETER_TABLE = "parameters"
+"""Table of a bench model with the scalars of its calibration."""
 FLAT = 0.05
 """Share of (10)'s linear term below which a slope is taken for flat."""
 LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous",
@@ -62,7 +63,8 @@ class ScalarEvidence:
 class Calibration:
     """Scalars of one bench, SI; `label` is "nominal" or the file it was read from, `bench` the bench it belongs to.
 
-    `discrepancy`: START → END beyond the scalars' prediction; None without a gait trial.
+    `discrepancy`: START → END beyond the scalars' prediction; None without a gait trial.  `correlation`: of the scalars
+    that were estimated together, by their names in the table of parameters.
     """
 
     stiffness_a: float = assumed("stiffness_a")
@@ -102,6 +104,7 @@ class Calibration:
     bench: str = ""
     lacking: tuple[str, ...] = ()
     discrepancy: EndDiscrepancy | None = None
+    correlation: Correlation | None = None
 
     @property
     def turning_point_n(self) -> float:
@@ -140,39 +143,35 @@ def read(path: str | Path, *, bench: str = "") -> Calibration:
     Raises `InputError` for another version, another bench, an unknown or missing parameter, a wrong unit or range.
     """
     where = str(path)
-    tables = read_toml(Path(path))
+    tables = translated(read_toml(Path(path)), where)
     owner = str(tables.get("bench", ""))
     if bench and owner and owner != bench:
         raise InputError(f"{where}: bench = {owner!r}, but the bench on the bus is {bench!r}; identify that bench.")
     values, evidence = stated(tables, where)
     if not values:
         raise InputError(f"{where}: states no parameter; give a file that bowden identify wrote.")
-    if tables.get("version") == 1:
-        _whole(values, where)
-    return of_values(values, evidence, label=where, bench=owner, beyond=end_discrepancy.stated(tables, where))
+    return of_values(values, evidence, label=where, bench=owner, beyond=end_discrepancy.stated(tables, where),
+                     together=correlation.stated(tables, where))
 
 
-def stated(tables: Mapping[str, Any], where: str) -> tuple[dict[str, float], dict[str, ScalarEvidence]]:
-    """Return values and evidence by name of the table of parameters, as a bench model's tables state them.
+def stated(tables: Mapping[str, Any], where: str, name: str = PARAMETER_TABLE
+           ) -> tuple[dict[str, float], dict[str, ScalarEvidence]]:
+    """Return values and evidence by parameter, as the table `name` of a bench model states them.
 
-    `[parameters.NAME]`, or `[scalars.NAME]` with a calibration's names, as version 1 has it.  Raises `InputError`.
+    Raises `InputError`.
     """
-    name = "scalars" if "scalars" in tables else "parameters"
     rows = tables.get(name, {})
     if not isinstance(rows, Mapping):
         raise InputError(f"{where}: {name} is not a table; expected one [{name}.NAME] table per parameter.")
     if rows and tables.get("version") not in READ:
         raise InputError(
             f"{where}: version = {tables.get('version')!r}, expected {VERSION}; run bowden identify again.")
-    if name == "parameters":
-        rows = current_names(rows, where)
     values: dict[str, float] = {}
     evidence: dict[str, ScalarEvidence] = {}
     for key, row in rows.items():
-        known = BY_CALIBRATION if name == "scalars" else PARAMETERS
-        if key not in known:
-            raise InputError(f"{where}: unknown {name[:-1]} {key}; expected one of {', '.join(known)}.")
-        p = PARAMETERS[BY_CALIBRATION[key] if name == "scalars" else key]
+        if key not in PARAMETERS:
+            raise InputError(f"{where}: unknown parameter {key}; expected one of {', '.join(PARAMETERS)}.")
+        p = PARAMETERS[key]
         values[p.name] = _value(where, key, p, row)
         low, high = _interval(where, key, row)
         evidence[p.name] = ScalarEvidence(low, high, float(row.get("r_squared", math.nan)), str(row.get("date", "")),
@@ -183,7 +182,7 @@ def stated(tables: Mapping[str, Any], where: str) -> tuple[dict[str, float], dic
 def _value(where: str, key: str, p: Parameter, row: Any) -> float:
     if not isinstance(row, Mapping) or "value" not in row:
         raise InputError(f"{where}: {key} has no value; write [parameters.{p.name}] with value and unit.")
-    if row.get("unit", p.unit) not in (p.unit, CALIBRATION_UNITS.get(p.name)):
+    if row.get("unit", p.unit) != p.unit:
         raise InputError(f"{where}: {key} is in {row['unit']!r}, expected {p.unit!r}; convert it.")
     value = row["value"]
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -198,7 +197,7 @@ def _value(where: str, key: str, p: Parameter, row: Any) -> float:
 def _accepted(p: Parameter) -> tuple[float, float]:
     """Return the bounds of a value in a file: those of a measurement and, where a relation reads it, of a fit."""
     low, high = p.rig_bounds if p.assumed is None else (p.assumed.low, p.assumed.high)
-    if p.in_relations:
+    if p.is_estimated:
         low, high = min(low, p.low), max(high, p.high)
     # of two signals either may be the later one
     return (min(low, -high), high) if p.name in ("end_delay", "timestamp_skew") else (low, high)
@@ -214,17 +213,11 @@ def _interval(where: str, name: str, row: Mapping[str, Any]) -> tuple[float, flo
     return low, high
 
 
-def _whole(values: Mapping[str, float], where: str) -> None:
-    for name in scalars():
-        if BY_CALIBRATION[name] not in values and name not in LATER:
-            raise InputError(f"{where}: scalar {name} is missing; add [scalars.{name}] with value and unit.")
-
-
 def of_values(
     values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence], *, label: str, bench: str = "",
-    beyond: EndDiscrepancy | None = None,
+    beyond: EndDiscrepancy | None = None, together: Correlation | None = None,
 ) -> Calibration:
-    """Return the controller's view of a bench's `values`, by name of the table and in any form, and its discrepancy.
+    """Return the controller's view of a bench's `values`, by name of the table and in any form.
 
     A scalar that does not follow from them has its assumed value and is named in `lacking`.
     """
@@ -238,7 +231,7 @@ def of_values(
     known = {name: evidence[BY_CALIBRATION[name]] for name in scalars() if BY_CALIBRATION[name] in evidence}
     fields: dict[str, Any] = {name: float(value) for name, value in told.items()}
     return checked(Calibration(**fields, evidence=known, label=label, bench=bench, lacking=lacking,
-                               discrepancy=beyond), where=label)
+                               discrepancy=beyond, correlation=together), where=label)
 
 
 def _inside(name: str, value: float) -> float:
@@ -253,12 +246,13 @@ def values_of(calibration: Calibration) -> tuple[dict[str, float], dict[str, Sca
             {BY_CALIBRATION[name]: known for name, known in calibration.evidence.items()})
 
 
-def rows(values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence]) -> list[str]:
+def rows(values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence], table: str = PARAMETER_TABLE
+         ) -> list[str]:
     """Return the lines of `[parameters.NAME]`, in the order of `values`; `stated` reads them back."""
     lines = []
     for name, value in values.items():
         p, known = PARAMETERS[name], evidence.get(name)
-        lines += ["", f"[parameters.{name}]  # {p.meaning}", f"value = {value!r}", f'unit = "{p.unit}"']
+        lines += ["", f"[{table}.{name}]  # {p.meaning}", f"value = {value!r}", f'unit = "{p.unit}"']
         if known is not None and math.isfinite(known.low + known.high):
             lines.append(f"interval = [{known.low!r}, {known.high!r}]")
         if known is not None and math.isfinite(known.repeatability):
@@ -272,8 +266,9 @@ def rows(values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence]) ->
 
 def write(calibration: Calibration) -> str:
     """Return the calibration as the TOML text of a bench model; `read` gives the same one back."""
-    return "\n".join([f"version = {VERSION}", f'bench = "{calibration.bench}"',
-                      *rows(*values_of(calibration)), *end_discrepancy.rows(calibration.discrepancy)]) + "\n"
+    return "\n".join([
+        f"version = {VERSION}", f'bench = "{calibration.bench}"', *rows(*values_of(calibration)),
+        *correlation.lines(calibration.correlation), *end_discrepancy.rows(calibration.discrepancy)]) + "\n"
 
 
 def said_of(calibration: Calibration, start_n: float) -> list[str]:

@@ -92,7 +92,7 @@ class ConstantTable:
     def lifted(self, q: Array) -> Array:
         """Return coordinates with those of "positive" constants raised to the range in which the value follows them.
 
-        Below, the smooth maximum is flat: a slope there would not show what the constant does once it acts.
+        Below, the smooth maximum is flat: a slope there is not that of a constant that acts.
         """
         least = [0.5 * row.rounding - row.middle if row.form == "positive" else -np.inf for row in self.rows]
         return np.maximum(q, least)

@@ -1,4 +1,4 @@
-"""One quantity in several forms: as the simulation, a calibration and the relations write it, in both directions.
+"""One quantity in several forms: as simulation, calibration and fit of the simulation write it, in both directions.
 
 Each conversion is next to its inverse. A quantity that a form does not contain (the bend of the sheath, the rope
 inside it, the fabric on the knee) keeps the given or the nominal value.
@@ -62,13 +62,13 @@ RELATED: Final = (
          lambda lead, sheath, b: (lead + 0.5 * sheath) / b),
     Form("fabric_presliding_ratio", ("fabric_presliding", "presliding"), lambda fabric, rope: fabric / rope),
 )
-"""Quantities of the prediction equations, from the simulation's."""
+"""Quantities that a fit of the simulation estimates, from the simulation's."""
 UNRELATED: Final = (
     Form("lead_compliance", ("cable_share", "sheath_compliance", "stretch_b"),
          lambda share, sheath, b: share * b - 0.5 * sheath),
     Form("fabric_presliding", ("fabric_presliding_ratio", "presliding"), lambda ratio, rope: ratio * rope),
 )
-"""Quantities of the simulation, from those of the prediction equations."""
+"""Quantities of the simulation, from those that a fit of it estimates."""
 MEASURABLE: Final = frozenset(name for form in MEASURED for name in form.of) | {
     name for name in BY_CALIBRATION.values() if name not in {form.name for form in MEASURED}}
 """Quantities that follow from the scalars of a calibration."""

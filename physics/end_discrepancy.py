@@ -2,7 +2,7 @@
 
 ln(estimated END / measured END) is a Bayesian linear model of a few features of the controller's own simulated state:
 load, knee angle, pre-sliding states of rope and fabric (their direction history) and how slowly both slide.
-`bowden identify all` fits it to gait trials with END (`master.identification.discrepancy_fit`); the controller
+`bowden identify all` fits it to gait trials with END (`estimation.transfer.discrepancy_fit`); the controller
 evaluates it from its simulated state, so that END stays out of the loop.
 """
 

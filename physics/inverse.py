@@ -245,6 +245,22 @@ def path(law: Law, desired: Array, knee: Array, laps: int = 2) -> Path:
     return Path(*out)
 
 
+@njit(cache=True)
+def _loss(law: Any, force: Any, knee: Any, drag: Any, exponent: Any) -> None:
+    slip = (0.0, 0.0, math.nan, math.nan, 0.0, 0.0)
+    for i in range(force.size):
+        _position, start, by_sheath, by_knee, _slow, _slower, slip = inverse(law, slip, force[i], knee[i])
+        exponent[i] = by_sheath + by_knee
+        drag[i] = start - force[i] * math.exp(exponent[i])
+
+
+def loss(law: Law, force: Array, knee: Array) -> tuple[Array, Array]:
+    """Return the rope's drag in START, N, and ln((START − drag)/END) by sample, for END `force`, N, and `knee`, rad."""
+    drag, exponent = np.zeros(force.size), np.zeros(force.size)
+    _loss(law, force, knee, drag, exponent)
+    return drag, exponent
+
+
 def end_from_start(
     law: Law, position: Array, start: Array, knee: Array
 ) -> tuple[Array, Array]:

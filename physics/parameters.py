@@ -8,12 +8,11 @@ effects read its row. All values are SI. A quantity with another name in a table
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from parameters import Remark, parameter
+from parameters import parameter
 from physics import laws
 
 Range = tuple[float, float]
@@ -72,7 +71,7 @@ class Parameter:
     daily: Tolerance | None = None
 
     @property
-    def in_relations(self) -> bool:
+    def is_estimated(self) -> bool:
         """True if the diagnosis states a value of this parameter."""
         return self.any_rig is not None
 
@@ -148,21 +147,13 @@ _FRICTION: Final = (
                        "rope travel over which the sheath's friction turns over"),
        ideal=1e-6, any_rig=(1e-6, 3e-3), likely=(50e-6, 1e-3),
        made=_T("factor", 0.30, "assumed: as friction, and more")),
-    _P("presliding_shape", "", "i in ds/du = (1 − s·sgn u)^i/δ", 1.0, 0.0, 1.5, "Dahl 1968: 1",
-       any_rig=(0.0, 1.5)),
     _P("fabric_presliding_ratio", "", "the fabric's pre-sliding travel over the rope's", 1.0, 0.1, 5.0,
        "assumed: as the rope's", any_rig=(0.1, 5.0)),
     _P("friction_drift", "", "relative change of μ1 and μ2 over friction_drift_s (wear, heat)", 0.0, -0.95, 5.0,
        "assumed: none", plant="plant.friction_drift", search=(-0.95, 3.0), any_rig=(-0.95, 3.0), likely=(-0.7, 0.7),
        neutral=0.0),
-    _P("tension_ratio", "", "START per tension behind the cable without friction", 1.0, -10.0, 10.0,
-       "a rope hands its tension on", any_rig=(-10.0, 10.0)),
     _P("coulomb", "N", "friction that no load changes", 0.0, -1e3, 1e3, "paper, 3.1: capstan friction only",
        any_rig=(-1e3, 1e3)),
-    _P("pull_sign", "", "1 where a growing rope position pulls, −1 where it releases", 1.0, -1.0, 1.0,
-       "signal table", any_rig=(-1.0, 1.0)),
-    _P("slack_below", "N", "tension below which the rope counts as slack", 0.3, -INFINITE, 10.0,
-       "assumed: noise of a sensor", ideal=-INFINITE, any_rig=(-INFINITE, 10.0)),
     _P("stribeck_memory", "s", "time by which the Stribeck curve lags the sliding speed", 20e-3, 1e-3, 0.1,
        "assumed: frictional memory (Hess and Soom)", plant="plant.stribeck_memory_s", calibration="breakaway_memory",
        assumed=Assumed(0.01, 1e-3, 0.5, "assumed: frictional memory (Hess and Soom)",
@@ -188,10 +179,6 @@ _PATH: Final = (
     _P("cable_share", "", "share of (10)'s linear coefficient that is the rope's, on the START side of its friction",
        (0.024e-3 + 0.5 * 0.008e-3) / (laws.STIFFNESS_B_MM_N * 1e-3), 0.0, 1.0,
        "assumed: lead_compliance and half of sheath_compliance", ideal=0.1, any_rig=(0.0, 1.0)),
-    _P("cable_share_before", "", "share of the rope's compliance on the START side of its friction", 1.0, 0.0, 1.0,
-       "assumed: cable_share counts no other", ideal=0.5, any_rig=(0.0, 1.0)),
-    _P("toe", "m", "what the first newtons stretch the path more than (10)", 0.0, -2e-3, 2e-3,
-       "(10) was fitted from 20 N up", any_rig=(-2e-3, 2e-3)),
     _P("home_preload", "N", "START tension at which homing fixes the encoder's zero", 20.0, 0.0, 20.0,
        "equation (10), lower end of its identification", calibration="home_preload",
        assumed=Assumed(20.0, 1.0, 60.0, "equation (10), lower end of its identification",
@@ -332,8 +319,6 @@ _DRIVES: Final = (
     _P("drive_stribeck_speed", "m/s", "Stribeck speed of the drive's friction", 0.01, 5e-4, 0.2,
        "assumed: greased steel", plant="plant.servo_stribeck_speed_m_s", search=(1e-3, 0.1), any_rig=(1e-5, 100.0),
        likely=(2e-3, 30e-3)),
-    _P("drive_calm", "m/s", "speed below which the drive's friction fades", 5e-4, 0.0, 0.02,
-       "assumed: noise of the encoder's rate", ideal=0.0, any_rig=(0.0, 0.02)),
     _P("current_limit", "A", "limit of the motor current", 7.5, 0.0, 30.0, "assumed: 6.75 N·m peak at the output",
        plant="plant.current_limit_a", ideal=INFINITE, search=(0.1, 30.0), any_rig=(0.1, INFINITE), likely=(0.8, 3.0)),
     _P("supply_ohm", "Ω", "internal resistance of the supply (sag)", 0.0, 0.0, 5.0, "assumed: a stiff supply",
@@ -341,18 +326,10 @@ _DRIVES: Final = (
     _P("servo_bandwidth", "Hz", "bandwidth of the servo's position loop", 25.0, 1.0, 500.0, "assumed",
        calibration="drive_bandwidth", assumed=Assumed(25.0, 1.0, 500.0, "assumed"),
        any_rig=(1.0, 500.0)),
-    _P("servo_damping", "", "damping ratio of the servo's position loop", 0.9, 0.2, 3.0, "assumed",
-       any_rig=(0.2, 3.0)),
     _P("servo_delay", "s", "from a target sent to its first sight in the inputs", 2e-3, -0.01, 0.1,
        "control timing: two SYNC periods at 1 kHz", calibration="loop_delay",
        assumed=Assumed(2e-3, 0.0, 0.1, "control timing: two SYNC periods at 1 kHz"),
        any_rig=(-0.01, 0.1)),
-    _P("knee_bandwidth", "Hz", "bandwidth of the knee's position loop", 20.0, 1.0, 500.0, "assumed",
-       any_rig=(1.0, 500.0)),
-    _P("knee_damping", "", "damping ratio of the knee's position loop", 0.9, 0.2, 3.0, "assumed",
-       any_rig=(0.2, 3.0)),
-    _P("knee_delay", "s", "from a knee target sent to its first sight in the inputs", 2e-3, -0.01, 0.1,
-       "control timing: two SYNC periods at 1 kHz", any_rig=(-0.01, 0.1)),
     _P("supply", "V", "supply voltage", 48.0, 0.0, 60.0, "paper, 5.2", plant="plant.supply_v"),
     _P("torque_constant", "N·m/A", "torque and back-EMF constant at the output", 0.9, 0.05, 2.0,
        "assumed: maker's class of a 1:6 48 V actuator", plant="plant.torque_constant"),
@@ -456,25 +433,12 @@ _MEASURED: Final = (
 PARAMETERS: Final[Mapping[str, Parameter]] = {
     row.name: row for row in (*_FRICTION, *_PATH, *_SENSORS, *_DRIVES, *_LEG, *_WIRE, *_MEASURED)}
 """Every quantity of a bench, by name."""
-RELATION_PARAMETERS: Final[Mapping[str, Parameter]] = {n: p for n, p in PARAMETERS.items() if p.in_relations}
-"""Inputs of the prediction equations between measured signals."""
+ESTIMATED: Final[Mapping[str, Parameter]] = {n: p for n, p in PARAMETERS.items() if p.is_estimated}
+"""Parameters that a fit estimates, of the simulation or of a rig."""
 BY_PLANT: Final[Mapping[str, str]] = {key: p.name for p in PARAMETERS.values() for key in p.plant.split()}
 """Names by "table.key" of a plant model."""
 BY_CALIBRATION: Final[Mapping[str, str]] = {p.calibration: p.name for p in PARAMETERS.values() if p.calibration}
 """Names by a calibration's scalar."""
-RENAMED: Final[Mapping[str, str]] = {"moment_arm_m": "rope_per_knee", "moment_arm": "rope_per_knee_quadratic",
-                                     "knee_ratio": "rope_per_knee"}
-"""Names that older files give to parameters, and today's."""
-
-
-def current_names(table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return `table` with today's names; one `Remark`, beginning with `where`, lists the renamed ones."""
-    old = [name for name in table if name in RENAMED]
-    if old:
-        told = ", ".join(f"{name} is called {RENAMED[name]} today" for name in old)
-        warnings.warn(f"{where}: {told}; read as such.", Remark, stacklevel=2)
-    return {RENAMED.get(name, name): value for name, value in table.items()}
-
 
 def declared(name: str) -> Any:
     """Declare a field of a table of the simulation: nominal value, unit, meaning, bounds and source of `name`."""
@@ -502,7 +466,7 @@ def nominal() -> dict[str, float]:
 
 
 def healthy() -> dict[str, float]:
-    """Return the inputs of the prediction equations on the nominal bench."""
-    return {name: p.nominal for name, p in RELATION_PARAMETERS.items()}
+    """Return the estimated parameters' values on the nominal bench."""
+    return {name: p.nominal for name, p in ESTIMATED.items()}
 
 

@@ -54,7 +54,7 @@ def _read(given: Array, sensor: str, tension: Array, motion: PathMotion) -> Arra
 
 
 def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
-    """Return the servo force, N, by the prediction equation `drive_force`, shape (sets, samples).
+    """Return the servo force, N, by friction and inertia of the drive, shape (sets, samples).
 
     Terms: measured START tension at the drum, friction, inertia, offset.
     """

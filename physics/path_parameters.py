@@ -13,7 +13,7 @@ import numpy as np
 
 from physics.force_path import KNEE_RAD, STRETCH_M
 from physics.laws import MILLI, STIFFNESS_A_MM_N2, STIFFNESS_B_MM_N
-from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy
+from physics.parameters import ESTIMATED, PARAMETERS, healthy
 from physics.path_constants import LOAD_PER_STEP, PRESLIDING
 from physics.plant.leg import KNEE_AT_FIT
 
@@ -45,7 +45,7 @@ def simulation_values(path: Values) -> dict[str, float]:
     given |= {"home_preload": 0.0, "end_delay": path["end_lag"] - path["start_lag"],
               "drive_presliding": PRESLIDING * path["drive_travel"]}
     return {name: min(max(value, p.low), p.high) for name, value in given.items()
-            for p in (RELATION_PARAMETERS[name],)}
+            for p in (ESTIMATED[name],)}
 
 
 def _friction(path: Values) -> dict[str, float]:

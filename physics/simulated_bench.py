@@ -1,4 +1,4 @@
-"""Simulated bench for values of the prediction equations: parameters of its plant, and readings of its sensors."""
+"""Simulated bench of estimated parameters: parameters of its plant, and readings of its sensors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from physics import memory_laws
 from physics.laws import Array
-from physics.parameters import PARAMETERS, RELATION_PARAMETERS
+from physics.parameters import ESTIMATED, PARAMETERS
 from physics.path_parameters import STRETCH_BEND, STRETCH_LINEAR
 from physics.plant import PlantParameters
 from physics.plant.imposed import Tensions
@@ -20,10 +20,10 @@ Values = Mapping[str, float]
 
 PLANT: Final = "plant."
 NAMED: Final[Mapping[str, str]] = {
-    name: p.plant.removeprefix(PLANT) for name, p in RELATION_PARAMETERS.items()
+    name: p.plant.removeprefix(PLANT) for name, p in ESTIMATED.items()
     if p.plant.startswith(PLANT)
     and p.plant.removeprefix(PLANT) in {f.name for f in dataclasses.fields(PlantParameters)}}
-"""Parameter of the prediction equations → field of `PlantParameters` of the same quantity."""
+"""Estimated parameter → field of `PlantParameters` of the same quantity."""
 ELSEWHERE: Final = frozenset({"slack", "rope_zero", "knee_backlash", "drum_radius"})
 """Parameters of `NAMED` that are not copied to the plant: the zeros, the backlash and the drum are handled apart."""
 
@@ -37,7 +37,7 @@ class SimulatedTensions:
 
 
 def plant_of(values: Values, seconds: float) -> PlantParameters:
-    """Return the plant parameters for values of the prediction equations; `seconds`: length of the trial.
+    """Return the plant parameters for values of the estimated parameters; `seconds`: length of the trial.
 
     Friction drift is stated per length of the trial, at least 1 s.
     """

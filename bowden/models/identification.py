@@ -20,7 +20,7 @@ from trial.paths import PATHS
 from trial.signals import of_bench
 
 if TYPE_CHECKING:
-    from master.identification.calibration_fit import Segment
+    from estimation.transfer.calibration_fit import Segment
     from physics.calibration import Calibration
 
 
@@ -191,11 +191,8 @@ def fit(
     zero-phase low-pass on every signal, Hz. Errors on held-out trials are in `BenchModel.fitted`; the constants of a
     rig of another kind are in `BenchModel.rig`. Raises `InputError`.
     """
-    import tomllib
-
-    from diagnosis import bench_fit
-    from physics import bench_model
+    from estimation import bench_fit
 
     with progress.waiting("fitting"):
-        found = bench_fit.fit([each.path if isinstance(each, Trial) else Path(each) for each in trials], lowpass_hz)
-    return bench_model.from_tables(tomllib.loads(found.text()), "fit", rigs=True)
+        paths = [each.path if isinstance(each, Trial) else Path(each) for each in trials]
+        return dataclasses.replace(bench_fit.fit(paths, lowpass_hz).model, label="fit")

@@ -61,12 +61,12 @@ def simulate(model: Model | None, trial: Trial | str | Path, *, progress: Progre
 def _under_motion(known: BenchModel, path: Path) -> Simulation:
     """Return both tensions as the simulation has them under the measured motion of a file's rope and knee."""
     from bowden.replay.plant_residuals import figure
-    from diagnosis import bench_fit, simulation
+    from estimation import bench_fit, simulation
     from estimation.data import table
     from trial.signals import SIGNALS
 
-    given, used = table.read(path), bench_fit.of_model(known)
-    told = simulation.simulate(bench_fit.as_fitted(given, used), used.values)
+    given = table.read(path)
+    told = simulation.simulate(bench_fit.as_fitted(given, known), known.simulation_values())
     time_ns = np.round(1e9 * given["time_s"]).astype(np.int64)
     declared = {signal.name: signal for signal in SIGNALS}
     simulated = {name: np.asarray(getattr(told, name)) for name in simulation.SIGNALS}

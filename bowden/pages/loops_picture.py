@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from master.identification import calibration_fit
-from master.identification.calibration_fit import Segment
+from estimation.transfer import calibration_fit
+from estimation.transfer.calibration_fit import Segment
 from physics import laws
 
 SWING_STEP, PULL_STEP = 20, 5

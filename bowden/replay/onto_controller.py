@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from bowden.replay.comparison import Comparison
 from eds.bench.bench_network import WireLayout, wire
+from estimation.transfer.homing_fit import HomingFit
 from master.control.controller import Kind, signals
-from master.control.homing_fit import HomingFit
 from master.cycle.inputs import NOTHING, CycleAnnotations, Inputs
 from master.cycle.safety import StopError
 from master.motion.experiment_run import ExperimentSetup, Planned

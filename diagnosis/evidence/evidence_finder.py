@@ -61,20 +61,13 @@ class EvidenceFinder:
         if not self._tables and "gait_percent" in trials[0]:
             return ""
         try:
-            fit, name = self.reference(trials), self.model.judged[0]
+            fit = self.reference(trials)
         except (ZeroDivisionError, np.linalg.LinAlgError):  # no rope has such constants
             return NO_REFERENCE.format(trials[0].source) if not self._tables else (
                 f"{self._tables[0].source}: the reference trials do not fit: no constants of the model predict them.")
         if not self._tables:
             return self._foreign(fit, trials[0])
-        left = float(np.sqrt(np.mean(fit.model_error[fit.outputs.index(name)])))
-        spread = float(np.std(self.model.record(self._tables[0]).measured(name)))
-        if left <= self.model.unlike_share * spread:
-            return ""
-        what, unit = ("START" if name == "tension_start_n" else name), self.model.signals[name]
-        return (f"{self._tables[0].source}: the reference trials do not fit: the model misses {what} by {left:.3g} "
-                f"{unit} of {spread:.3g} {unit}; expected below {100 * self.model.unlike_share:g} %. Give reference "
-                "trials of this bench, recorded as the trial is.")
+        return fit.unlike(self.model.record(self._tables[0]), self._tables[0].source)
 
     def _foreign(self, fit: ReferenceFit, given: Table) -> str:
         """Return a sentence if a trial does not fit the model of the bench at the origin of `fit`; else ""."""

@@ -27,7 +27,7 @@ MEANING: Final = {
 
 
 def measured(page: Page, sides: Mapping[str, Sequence[Compared]], title: str, linked: str, *, named: bool) -> None:
-    """Add plots of each prediction equation for the first trial: the whole trial, and its cycle with the largest error.
+    """Add plots of each output for the first trial: the whole trial, and its cycle with the largest error.
 
     `named`: an effect is named, so that the simulation with it is drawn, too.
     """
@@ -64,7 +64,7 @@ def _drawn(page: Page, title: str, one: Compared, shown: np.ndarray[Any, Any], l
 
 
 def residuals(page: Page, sides: Mapping[str, Sequence[Compared]], turning: bool = False, *, named: bool) -> None:
-    """Add plots of the residual of each prediction equation along each recorded signal of `SIDES`.
+    """Add plots of the residual of each output along each recorded signal of `SIDES`.
 
     `turning`: the position is an angle.  `named`: an effect is named, so that the residual with it is drawn, too.
     """

@@ -1,4 +1,4 @@
-"""The two main plots of a diagnosis: the force loop, and the residual of the prediction equation with the largest gain.
+"""The two main plots of a diagnosis: the force loop, and the residual of the output with the largest gain.
 
 The loop is START over END, or force over position where END is not recorded.  Curves are bin means, not smoothed.
 """
@@ -29,7 +29,7 @@ REFERENCE, NAMED = "simulated: reference condition", "simulated: with what is na
 
 
 class MeanResidual(NamedTuple):
-    """Residual of one prediction equation in bins: mean and root mean square, `before` and `after`, in `unit`."""
+    """Residual of one output in bins: mean and root mean square, `before` and `after`, in `unit`."""
 
     relation: str
     unit: str
@@ -54,7 +54,7 @@ class ForceLoop(NamedTuple):
 
 
 def section(page: Page, found: Findings, turning: bool = False) -> None:
-    """Add the residual of the prediction equation with the largest gain, or a note if none was compared."""
+    """Add the residual of the output with the largest gain, or a note if none was compared."""
     one = residual(found, turning)
     if one is None:
         page.text("No signal was compared, so there is no picture.", "note")
@@ -123,9 +123,9 @@ def _cycle(parts: Sequence[Compared], over: str, most: int = 1500) -> tuple[Arra
 
 
 def residual(found: Findings, turning: bool = False) -> MeanResidual | None:
-    """Return the residual of the prediction equation with the largest gain, over gait phase, else position or time.
+    """Return the residual of the output with the largest gain, over gait phase, else position or time.
 
-    None if no prediction equation was checked or compared.
+    None if no output was checked or compared.
     """
     best = strongest(found)
     if best is None or not found.traces.get(best[0]):

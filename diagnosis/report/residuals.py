@@ -10,8 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.compared_signals import Compared, directions
+from diagnosis.compared_signals import Compared
 from diagnosis.findings import Findings
+from estimation.simulation import directions
 from physics.laws import Array
 from trial.report.page import number
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from estimation.data.table import AGE_SUFFIX, COUNTERS, Table
 from physics.laws import Array
-from physics.parameters import RELATION_PARAMETERS
+from physics.parameters import ESTIMATED
 from trial.convert.lab_table import TO_SI
 
-WIDEST: Final = {"m": (RELATION_PARAMETERS["rope_zero"].high - RELATION_PARAMETERS["rope_zero"].low, "mm"),
+WIDEST: Final = {"m": (ESTIMATED["rope_zero"].high - ESTIMATED["rope_zero"].low, "mm"),
                  "rad": (math.tau, "deg")}
 """By unit of a column: span that no bench exceeds, and the unit of `TO_SI` that was probably recorded.
 

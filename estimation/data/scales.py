@@ -14,6 +14,7 @@ import numpy as np
 
 from estimation.data.integrity import Finding, length_unit
 from estimation.data.table import TURNING, Table
+from physics import bench_model
 from physics.parameters import PARAMETERS
 
 TENSIONS: Final = ("tension_start_n", "tension_end_n")
@@ -90,8 +91,9 @@ def against_bench(
     told = [r for r in map(rope_per_knee, healthy) if r is not None]
     if told:
         known, where = float(np.median(told)), "in the healthy trials"
-    elif calibration is not None and "swing_k" in calibration.get("scalars", {}):
-        known, where = float(calibration["scalars"]["swing_k"]["value"]), "in the calibration"
+    elif calibration is not None and "rope_per_knee" in (
+            stated := bench_model.from_tables(calibration, "calibration").values):
+        known, where = stated["rope_per_knee"], "in the calibration"
     elif any("gait_percent" in t for t in trials):
         known, where = PARAMETERS["rope_per_knee"].nominal, "on a bench of this kind"
     else:

@@ -50,7 +50,8 @@ class Table:
     unfiltered).  `turning`: the axis was recorded in rad and N·m and is represented on a lever of 1 m.  `volts`: the
     motor's voltage was recorded in place of its torque.  `experiment`: name of the experiment ("": unknown).
     `joints`: joints of a serial arm that were recorded together, from base to tip; `joint`: the one whose columns these
-    are.  The other ones' angles are columns `<joint>.servo_position_m`.
+    are.  The other ones' angles are columns `<joint>.servo_position_m`.  `before`: rows before the first numbered
+    cycle, such as homing.
     """
 
     source: str
@@ -64,6 +65,7 @@ class Table:
     experiment: str = ""
     joints: tuple[str, ...] = ("",)
     joint: str = ""
+    before: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.columns["time_s"])
@@ -151,9 +153,11 @@ def table(
         _refuse_mixed(source, columns, turning)
     ignored = sorted(set(columns) - set(known) - {DEGREE_ALIAS, *TURNING})
     notes = (f"columns not known, not used: {', '.join(ignored)}",) if ignored else ()
-    known, slow = _on_rows(_numbered(known))
+    whole, inside = known, _numbered(known)
+    first = int(np.argmax(whole["cycle"] >= 0.0)) if inside is not whole else 0
+    known, slow = _on_rows(inside)
     return Table(source, known, _digest(known), calibration, notes=(*notes, *slow), turning=bool(turning),
-                 volts="motor_voltage_v" in columns)
+                 volts="motor_voltage_v" in columns, before={n: v[:first] for n, v in whole.items()} if first else {})
 
 
 def _of_joint(source: str, columns: Mapping[str, Sequence[float] | Array], joints: tuple[str, ...],

@@ -14,10 +14,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, Final, NamedTuple, Protocol, TypeVar, cast
 
+from estimation.transfer.homing_fit import HomingFit
 from master.control.controller_io import Column, ControllerInput, ControllerOutput, Trace
 from master.control.effect_correction import Correction
 from master.control.gait_table import GaitTable
-from master.control.homing_fit import HomingFit
 from master.settings import Impedance
 from parameters import InputError, from_table
 from parameters.plugins import load

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from estimation.transfer.homing_fit import HomingFit
 from master.control import learning
 from master.control.controller_io import ControllerInput, ControllerOutput, Trace
 from master.control.friction_following import (
@@ -23,7 +24,6 @@ from master.control.friction_following import (
     friction_evidence,
 )
 from master.control.gait_table import GaitTable
-from master.control.homing_fit import HomingFit
 from master.settings import Impedance
 from physics import end_discrepancy, inverse
 from physics.calibration import Calibration

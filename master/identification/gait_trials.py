@@ -12,10 +12,10 @@ from typing import Any, Final
 import can
 
 from eds.bench.bench_network import Network
+from estimation.transfer.calibration_fit import Segment
 from master.control.gait_table import samples_of
 from master.cycle.exchange import Exchange
 from master.cycle.log import CycleSink
-from master.identification.calibration_fit import Segment
 from master.motion import gait
 from master.motion.experiment_run import ExperimentSetup, Planned
 from master.network.link import Link

@@ -31,15 +31,16 @@ import can
 import numpy as np
 
 from eds.bench.bench_network import Network, wire
+from estimation.transfer import calibration_fit, discrepancy_fit
+from estimation.transfer.calibration_fit import Segment
+from estimation.transfer.jackknife import LineFit
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs, KeptCycle
 from master.cycle.log import CycleSink
 from master.cycle.run_safely import Outcome, run_safely
 from master.cycle.shared_exchange import Running
-from master.identification import calibration_fit, discrepancy_fit, gait_trials
-from master.identification.calibration_fit import Segment
-from master.identification.jackknife import LineFit
+from master.identification import gait_trials
 from master.motion import moves
 from master.motion.home import home, reached_n, swing_held, swing_to
 from master.motion.paths_run import rest
@@ -218,7 +219,9 @@ def calibrate(what: str, segments: Sequence[Segment], guess: Calibration, *, ben
         told["identified_to"] = fitted.identified_to, ScalarEvidence(math.nan, math.nan)
     evidence = dict(guess.evidence) | {
         name: dataclasses.replace(proof, date=date, trial=trial) for name, (_, proof) in told.items()}
-    return dataclasses.replace(_replaced(guess, told), evidence=evidence, bench=bench, label=trial)
+    together = fitted.correlation if "ramp" in kinds else guess.correlation
+    return dataclasses.replace(_replaced(guess, told), evidence=evidence, bench=bench, label=trial,
+                               correlation=together)
 
 
 def _as_homed(

@@ -14,12 +14,12 @@ from typing import Any
 import can
 
 from eds.bench.bench_network import Network
+from estimation.transfer.homing_fit import HomingFit
 from master import settings
 from master.control import controller
 from master.control.controller import Conditions, Controller, ControllerInput
 from master.control.effect_correction import Effects, calibrated, correction
 from master.control.gait_table import GaitTable, samples_of, tabulate
-from master.control.homing_fit import HomingFit
 from master.control.stability import derated
 from master.cycle import drives
 from master.cycle.exchange import Exchange

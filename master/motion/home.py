@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from master.control.homing_fit import HomingFit, adapt
+from estimation.transfer.homing_fit import HomingFit, adapt
 from master.cycle import drives
 from master.cycle.exchange import NEEDED, Exchange
 from master.cycle.inputs import Inputs

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from parameters import InputError
 from physics.effects.catalogue import complete
-from physics.parameters import current_names
+from physics.older_files import current_names
 
 TABLE: Final = "effects"
 EVIDENCE: Final = "found"

@@ -56,7 +56,7 @@ def test_a_command_that_is_given_nothing_tells_what_it_needs(
     assert (status, out) == (2, "")
     first, does, *_, last = err.splitlines()
     path = f"bowden {' '.join(command)}"
-    assert re.fullmatch(rf"{path} [-A-Za-z_.… |]+", first)
+    assert re.fullmatch(rf"{path} [-A-Za-z_.…: |]+", first)
     assert does.startswith("  ")
     assert does.endswith(".")
     assert last == f"{path} --help lists its {'options' if 'Example: bowden' in err else 'commands'}."

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from benchmarks import redrawn
 from bowden.pages import loops_picture
-from master.identification.calibration_fit import Segment
+from estimation.transfer.calibration_fit import Segment
 from physics import laws
 
 DOCS = Path(__file__).parents[2] / "docs"

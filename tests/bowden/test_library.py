@@ -203,14 +203,14 @@ def test_a_bench_is_fitted_to_the_friction_that_it_was_made_with() -> None:
     rubbing = bowden.simulated(serial=0, plant_model={"plant": {"mu1": 0.11}})
     trial = bowden.run(walk, bus=rubbing)
     fitted = bowden.fit([trial])
-    from physics.parameters import RELATION_PARAMETERS, healthy
+    from physics.parameters import ESTIMATED, healthy
 
-    assert all(p.low <= fitted.values[name] <= p.high for name, p in RELATION_PARAMETERS.items()
-               if name in fitted.values)
-    assert fitted.evidence["mu1"].low <= 0.11 <= fitted.evidence["mu1"].high
+    assert all(p.low <= fitted.simulation[name] <= p.high for name, p in ESTIMATED.items()
+               if name in fitted.simulation)
+    assert fitted.simulation_evidence["mu1"].low <= 0.11 <= fitted.simulation_evidence["mu1"].high
     # rope and fabric share the friction that one gait shows: at the loaded knee their sum is determined
     whole, made = (p["mu1"] * p["theta1"] + p["mu2"] * (p["phi0"] + 0.5 * p["fabric_wrap"])
-                   for p in (fitted.values, healthy() | {"mu1": 0.11}))
+                   for p in (fitted.simulation, healthy() | {"mu1": 0.11}))
     assert whole == pytest.approx(made, rel=0.05)
     assert fitted.fitted["tension_end_n"]["unseen_rms_n"] < 0.02 * 40.0
 

@@ -47,7 +47,7 @@ def test_a_calibration_of_the_table_has_the_evidence_of_its_scalars() -> None:
 def test_a_bench_whose_start_lags_more_than_declared_is_walked_by_its_row(period_s: float) -> None:
     """Serial 20: START lags by 2.7 ms, its sensor declares 0.5 ms."""
     row = family_walks.read(DOCS / "unseen.csv")["family", 20]
-    walk = family_walks._walked("family", 20, calibration.write(family_walks.calibration_of(row)), "extended",
+    walk = family_walks.walked("family", 20, calibration.write(family_walks.calibration_of(row)), "extended",
                                 family_walks.CYCLES, family_walks.SETTLE,
                                 {"gait.peak_n": row["peak_n"], "gait.period_s": period_s})
     assert walk["outcome"] == "completed", walk

@@ -12,9 +12,10 @@ import pytest
 
 import bowden
 from bowden.cli.app import run
-from diagnosis import bench_fit, simulation
+from estimation import bench_fit, simulation
 from estimation.data.table import Table, table
 from parameters import Remark
+from physics import bench_model, calibration
 from physics.plant import PlantParameters, imposed
 from tests.plants import draws
 from tests.plants import imposed as family
@@ -69,15 +70,14 @@ def fitted(walked: Table, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_model_is_read_as_it_was_written_and_as_a_calibration(fitted: Path, tmp_path: Path) -> None:
-    from physics import bench_model, calibration
-
-    path, found = tmp_path / "model.toml", bench_fit.read(fitted / "model.toml")
-    path.write_text(found.text(), encoding="utf-8")
-    assert bench_fit.read(path).values == pytest.approx(found.values)
-    with pytest.warns(Remark, match="says nothing of"):  # of a sensor's lag, for one: no motion of a trial tells it
-        known = calibration.read(path)
-    assert known.stiffness_b == pytest.approx(found.calibration.stiffness_b)
-    assert bench_model.read(path).related()["mu1"] == pytest.approx(found.values["mu1"])
+    path, model = tmp_path / "model.toml", bench_model.read(fitted / "model.toml")
+    path.write_text(model.text(), encoding="utf-8")
+    again = bench_model.read(path)
+    assert (again.values, again.simulation, again.discrepancy) == (model.values, model.simulation, model.discrepancy)
+    known = calibration.read(path)
+    assert known.lacking == ()
+    assert known.stiffness_b == model.values["stiffness_b"]
+    assert again.simulation_values()["mu1"] == model.simulation["mu1"]
 
 
 def test_a_model_with_a_table_of_constants_as_older_versions_wrote_it_opens(tmp_path: Path) -> None:
@@ -85,14 +85,23 @@ def test_a_model_with_a_table_of_constants_as_older_versions_wrote_it_opens(tmp_
     path.write_text('version = 2\nbench = ""\n[parameters.mu2]\nvalue = 0.1\nunit = ""\n[fitted]\npulls = -1\n'
                     '[constants.mu2]\nvalue = 0.2\nunit = ""\ninterval = [0.1, 0.3]\ndetermined = false\n',
                     encoding="utf-8")
-    found = bench_fit.read(path)
-    assert found.values["mu2"] == 0.2
-    assert found.pulls == -1
-    assert found.undetermined == ["mu2"]
+    found = bench_model.read(path)
+    assert found.simulation_values()["mu2"] == 0.2
+    assert found.fitted["pulls"] == -1
+
+
+def test_the_home_preload_of_an_older_fit_is_no_calibration_s(tmp_path: Path) -> None:
+    """A fit of version 2 stated its zero at a preload of 0 N, at which no bench homes."""
+    path = tmp_path / "model.toml"
+    path.write_text('version = 2\n[parameters.mu1]\nvalue = 0.1\n[parameters.home_preload]\nvalue = 0.0\n[fitted]\n'
+                    'pulls = 1\n', encoding="utf-8")
+    with pytest.warns(Remark, match="says nothing of"):
+        assert calibration.read(path).home_preload == calibration.nominal().home_preload
+    assert bench_model.read(path).simulation_values()["mu1"] == 0.1
 
 
 def test_the_comparison_is_told_by_phase_load_and_direction(walked: Table) -> None:
-    told = simulation.simulate(walked, bench_fit.FittedBench({}).values)
+    told = simulation.simulate(walked, bench_model.BenchModel().simulation_values())
     figures = simulation.compared(walked, told)
     for row in figures.values():
         assert row["rms_n"] == pytest.approx(NOISE_N, rel=0.5)

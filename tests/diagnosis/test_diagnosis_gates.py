@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from diagnosis.bench_fit import turned
 from diagnosis.finder import diagnose
+from estimation.bench_fit import turned
 from estimation.data.table import Table, table
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial

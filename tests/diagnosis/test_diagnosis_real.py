@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from diagnosis import bench_fit
 from diagnosis.finder import diagnose
 from diagnosis.findings import Findings
+from estimation import bench_fit
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "cable_drive"
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from diagnosis import bench_fit
 from diagnosis.finder import Finder, diagnose
 from diagnosis.findings import Findings
 from diagnosis.report.headline import headline
+from estimation import bench_fit
 from estimation.data.table import Table, read
 
 DATA = Path(__file__).parents[3] / "shared" / "data"

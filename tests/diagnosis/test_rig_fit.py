@@ -12,7 +12,7 @@ import pytest
 
 import bowden
 from bowden.cli.app import run
-from diagnosis import bench_fit
+from estimation import bench_fit
 from estimation.data.table import table
 from parameters import InputError
 from tests.diagnosis import rigs

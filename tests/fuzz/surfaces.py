@@ -222,12 +222,12 @@ def _import(name: str, data: bytes) -> None:
 def _tables() -> list[tuple[bytes, Callable[[Path], Any]]]:
     from bowden.bench import configuration
     from eds.declaration import PathNodes
-    from physics import calibration
+    from physics import calibration, older_files
     from virtual_bus.machine import plant_model
     from virtual_bus.wire import faults
 
     declared = calibration.nominal()
-    lines = [f"version = {calibration.VERSION}"]
+    lines = [f"version = {older_files.VERSION}"]
     lines += [f"[{name}]\nvalue = {getattr(declared, name)!r}" for name in calibration.scalars()]
     return [
         (configuration.as_text(configuration.read(None)).encode(), configuration.read),

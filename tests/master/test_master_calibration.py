@@ -70,12 +70,6 @@ def test_a_file_of_the_first_version_is_read(tmp_path: Path) -> None:
         getattr(made, name) for name in calibration.scalars()]
 
 
-def test_a_missing_scalar_is_named(tmp_path: Path) -> None:
-    text = re.sub(r"\[scalars\.presliding\][^\[]*", "", first_version(calibration.nominal()))
-    with pytest.raises(InputError, match="scalar presliding is missing"):
-        calibration.read(written(tmp_path, text))
-
-
 def test_what_a_bench_model_does_not_tell_is_assumed_and_said(tmp_path: Path) -> None:
     text = re.sub(r"\[parameters\.presliding\][^\[]*", "", calibration.write(calibration.nominal()))
     with pytest.warns(Remark, match="says nothing of presliding; taken as assumed"):

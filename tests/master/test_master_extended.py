@@ -9,11 +9,12 @@ import math
 import numpy as np
 import pytest
 
-from master.control import extended, friction_following, homing_fit, learning
+from estimation.transfer import homing_fit
+from estimation.transfer.homing_fit import HomingFit
+from master.control import extended, friction_following, learning
 from master.control.controller_io import ControllerInput
 from master.control.friction_following import Followed
 from master.control.gait_table import tabulate
-from master.control.homing_fit import HomingFit
 from master.motion import gait
 from master.settings import Impedance
 from physics import inverse, laws

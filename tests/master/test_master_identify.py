@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from master.identification import calibration_fit, discrepancy_fit, identify
-from master.identification.calibration_fit import Rest, Segment
+from estimation.transfer import calibration_fit, discrepancy_fit
+from estimation.transfer.calibration_fit import Rest, Segment
+from master.identification import identify
 from parameters import InputError
 from physics import end_discrepancy, inverse
 from physics.calibration import Calibration, nominal

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from estimation.transfer.calibration_fit import _UNKNOWNS, END_LAG
+from estimation.transfer.homing_fit import HomingFit
 from master.control import extended
 from master.control.gait_table import tabulate
-from master.control.homing_fit import HomingFit
-from master.identification.calibration_fit import _UNKNOWNS, END_LAG
 from master.motion import gait
 from master.settings import Impedance
 from physics import calibration

@@ -17,7 +17,8 @@ from physics.conversions import MEASURED, RELATED, SIMULATED, UNRELATED, convert
 from physics.converter import SensorParameters
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.effects_table import stated
-from physics.parameters import BY_CALIBRATION, BY_PLANT, PARAMETERS, RELATION_PARAMETERS, RENAMED
+from physics.older_files import RENAMED
+from physics.parameters import BY_CALIBRATION, BY_PLANT, ESTIMATED, PARAMETERS
 from physics.plant.state_layout import PlantParameters
 from virtual_bus.machine import plant_model
 from virtual_bus.machine.scatter import LAWS
@@ -121,5 +122,5 @@ def test_older_names_are_read_with_a_remark() -> None:
 
 
 def test_relations_read_names_of_the_table() -> None:
-    assert set(RELATION_PARAMETERS) <= set(PARAMETERS)
+    assert set(ESTIMATED) <= set(PARAMETERS)
     assert not {f.name for f in dataclasses.fields(PlantParameters)} & set(RENAMED)

@@ -16,7 +16,7 @@ from parameters import InputError, read_toml
 from physics import bench_model
 from physics.effects import catalogue as effects
 from physics.effects import effects_table
-from physics.parameters import current_names
+from physics.older_files import current_names
 from physics.terms import Term
 from virtual_bus.machine.scatter import Tables
 from virtual_bus.wire.faults import Fault

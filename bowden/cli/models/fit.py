@@ -1,4 +1,4 @@
-"""`bowden fit`: the constants of a bench from its healthy trials."""
+"""`bowden fit`: calibration and simulation of a bench from its healthy trials."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.models import scalars_table
 
 if TYPE_CHECKING:
-    from diagnosis.bench_fit import FittedBench
+    from estimation.bench_fit import FittedBench
 
 Trials = Annotated[list[Path], typer.Argument(
     metavar="TRIAL…", help="Healthy trials of one bench: MCAP, or CSV (.gz) with canonical headers.",
@@ -30,16 +31,17 @@ def fit(
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
-    """Fit the simulation to a bench, from its healthy trials.
+    """Fit calibration and simulation of a bench, from its healthy trials.
 
-    Any motion, own or imported: rope position, knee angle (none: locked) and START, END beside it.  A rig of another
-    kind (a seal, a turning axis, a motor) has its own terms fitted.
+    Any motion, own or imported: rope position, knee angle (none: locked) and START, END beside it.  The file is a
+    calibration as of bowden identify, too.  A rig of another kind (a seal, a turning axis, a motor) has its own terms
+    fitted.
 
     Example: bowden fit good.mcap -o model.toml
     """
     from bowden import output_files
     from bowden.trials import force_paths, session
-    from diagnosis import bench_fit
+    from estimation import bench_fit
     from estimation.data import table
     from parameters.files import write_whole
 
@@ -53,13 +55,17 @@ def fit(
         from bowden.models import logbook_entries
 
         logbook_entries.add_model(logbook, "fit", output)
-    result: dict[str, Any] = {"model": str(output), **found.as_json()}
+    known = None if found.rig is not None else found.model.calibration
+    result: dict[str, Any] = {"model": str(output), **found.as_json(), **scalars_table.as_json(known)}
     terminal.emit(result) if json else _tell(output, found)
     return 0
 
 
 def _tell(output: Path, found: FittedBench) -> None:
-    terminal.table("constants", ("constant", "value", "95 % interval", "unit"), [
+    if found.rig is None:
+        scalars_table.show("calibration", found.model.calibration)
+    title = "constants of the simulation" if found.rig is None else "constants"
+    terminal.table(title, ("constant", "value", "95 % interval", "unit"), [
         (name, f"{c.value:.4g}", f"{c.low:.4g} … {c.high:.4g}", c.unit)
         for name, c in found.constants.items() if c.determined])
     if found.rig is not None:

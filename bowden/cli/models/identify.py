@@ -11,13 +11,13 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.models import scalars_table
 from bowden.cli.option_groups import Bus, SimulatedOptions, grouped
 from parameters import InputError
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from bowden.models.identification import Identified
-    from physics.calibration import Calibration
 
 What = Annotated[str, typer.Argument(
     metavar="WHAT", help="stiffness, swing, friction, sensors, gait (on a calibration) or all.")]
@@ -143,25 +143,12 @@ def _ended(found: Sequence[Identified], output: Path, source: str, picture: Path
     return ending.status_of("completed" if found[0].reason is None else "stopped", found[0].reason)
 
 
-def _rows(found: Calibration) -> dict[str, dict[str, Any]]:
-    from parameters import declarations
-
-    return {
-        name: {"value": getattr(found, name), "unit": declared.unit, "low": proof.low, "high": proof.high,
-               "r_squared": proof.r_squared}
-        for name, _, declared in declarations(type(found))
-        if (proof := found.evidence.get(name)) is not None and proof.date
-    }
-
-
 def _object(found: Identified, output: Path, source: str) -> dict[str, Any]:
     made = found.calibration
     return {
         "calibration": None if made is None else str(output), "trial": source,
         "outcome": "completed" if found.reason is None else "stopped", "stop_reason": found.reason,
-        "scalars": {} if made is None else _rows(made),
-        "discrepancy": None if made is None or made.discrepancy is None else {
-            "prior": made.discrepancy.prior, "residual": made.discrepancy.residual},
+        **scalars_table.as_json(made),
     }
 
 
@@ -171,11 +158,4 @@ def _tell(found: Identified, output: Path, source: str) -> None:
         return
     if found.reason is not None:
         print(f"Stopped in a gait trial: {found.reason}; the discrepancy is of the trials before it.")
-    terminal.table(f"{output}, measured in {source}", ("scalar", "unit", "value", "95 % low", "high", "R²"), [
-        (name, row["unit"] or "1", f"{row['value']:.4g}",
-         *("–" if row[key] != row[key] else f"{row[key]:.4g}" for key in ("low", "high", "r_squared")))
-        for name, row in _rows(found.calibration).items()])
-    known = found.calibration.discrepancy
-    if known is not None:
-        print(f"Discrepancy START → END in the gait trials: {100.0 * known.prior:.1f} % of END, its model leaves "
-              f"{100.0 * known.residual:.1f} %.")
+    scalars_table.show(f"{output}, measured in {source}", found.calibration)

@@ -11,8 +11,8 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 
 if TYPE_CHECKING:
-    from diagnosis.bench_fit import FittedBench
     from estimation.data.table import Table
+    from physics.bench_model import BenchModel
     from physics.simulated_bench import SimulatedTensions
 
 Trial = Annotated[Path, typer.Argument(
@@ -38,16 +38,17 @@ def simulate(
     Example: bowden simulate trial.mcap --model model.toml
     """
     from bowden import output_files
-    from diagnosis import bench_fit, simulation
+    from estimation import bench_fit, simulation
     from estimation.data import table
+    from physics import bench_model
 
     output_files.refuse([output], overwrite=overwrite, inputs=[trial, model])
     if output is not None:
         output_files.refuse_ending(output, ".csv", what="a table")
-    used = bench_fit.FittedBench({}) if model is None else bench_fit.read(model)
+    used = bench_model.BenchModel() if model is None else bench_model.read(model)
     given = table.read(trial)
     with terminal.waiting("simulating", shown=not json):
-        told = simulation.simulate(bench_fit.as_fitted(given, used), used.values)
+        told = simulation.simulate(bench_fit.as_fitted(given, used), used.simulation_values())
     if output is not None:
         _write(output, given, told)
     figures = simulation.compared(given, told)
@@ -61,7 +62,7 @@ def _write(output: Path, given: Table, told: SimulatedTensions) -> None:
 
     import numpy as np
 
-    from diagnosis.simulation import SIGNALS
+    from estimation.simulation import SIGNALS
     from parameters.files import write_whole
 
     columns = {"time_s": given["time_s"]}
@@ -75,7 +76,7 @@ def _write(output: Path, given: Table, told: SimulatedTensions) -> None:
     write_whole(output, text.getvalue(), overwrite=True)
 
 
-def _tell(result: dict[str, Any], figures: dict[str, Any], used: FittedBench) -> None:
+def _tell(result: dict[str, Any], figures: dict[str, Any], used: BenchModel) -> None:
     print(f"The simulation of {result['model'] or 'the nominal bench'} under the motion of {result['trial']}:")
     number = terminal.number
     for name, row in figures.items():

@@ -18,7 +18,7 @@ from estimation.rig_model import RigModel, rig_model_of
 from parameters import InputError
 from physics.effects.hypotheses import Read
 from physics.laws import Array
-from physics.parameters import RELATION_PARAMETERS
+from physics.parameters import ESTIMATED
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def _beside_ideal(parameter: str, constants: Mapping[str, Constant]) -> bool:
     """Return whether the interval of a parameter excludes its value in an ideal transmission."""
     if parameter not in constants:
         return False
-    return not constants[parameter].low <= RELATION_PARAMETERS[parameter].in_ideal <= constants[parameter].high
+    return not constants[parameter].low <= ESTIMATED[parameter].in_ideal <= constants[parameter].high
 
 
 def _fitted(tables: Sequence[Table]) -> tuple[RigModel, ReferenceFit]:
@@ -102,7 +102,7 @@ def _constants(model: RigModel, fitted: ReferenceFit) -> dict[str, Constant]:
             posterior, np.diag(model.constants.bench_sd[free] ** 2)))
         if not determined(sd, before):
             continue
-        (low, high), unit = RELATION_PARAMETERS[name].rig_bounds, model.rig.unit(RELATION_PARAMETERS[name].unit)
+        (low, high), unit = ESTIMATED[name].rig_bounds, model.rig.unit(ESTIMATED[name].unit)
         value, least, most = (min(max(each, low), high) for each in (value, value - 1.96 * sd, value + 1.96 * sd))
         found[name] = Constant(value, least, most, unit, True)
     return found

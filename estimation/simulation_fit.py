@@ -7,22 +7,24 @@ starting from these parameters.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from diagnosis import simulation
-from diagnosis.evidence.evidence_finder import EvidenceFinder
+from estimation import simulation
 from estimation.data.table import Table
 from estimation.likelihood_data import LOWPASS_HZ
-from estimation.reference_fit import ReferenceFit
+from estimation.path_model import PATH_MODEL
+from estimation.reference_fit import ReferenceFit, fit_reference
+from estimation.rig_fit import determined
+from estimation.transfer.trial_calibration import scalars_of
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
 from physics.laws import Array
-from physics.parameters import RELATION_PARAMETERS, Parameter
+from physics.parameters import ESTIMATED, Parameter
 from physics.path_constants import INDEX, SESSION_SD
 from physics.path_parameters import DIRECT, simulation_values
 from physics.plant import imposed
@@ -45,32 +47,44 @@ OWN: Final = {name: float(SESSION_SD[INDEX[row]]) for name, row in (
 class IdentifiedBench:
     """Parameters of the simulation, SI, converted from a fitted force path.
 
-    `sigma` and `prior_sigma`: posterior and prior 1σ by parameter.  `unlike`: sentence on why the trials are not of a
-    rope over a knee ("": they are).
+    `sigma` and `prior_sigma`: posterior and prior 1σ by parameter.  `scalars`: scalars of a calibration, and
+    `scalar_sigma`: posterior 1σ of those that the trials determine.  `warning`: sentence on another minimum of the fit
+    ("": none).  `unlike`: sentence on why the trials are not of a rope over a knee ("": they are).
     """
 
     values: Values
     sigma: Values
     prior_sigma: Values
     unlike: str = ""
+    scalars: Values = dataclasses.field(default_factory=dict)
+    scalar_sigma: Values = dataclasses.field(default_factory=dict)
+    warning: str = ""
 
 
 def identified(trials: Sequence[Table]) -> IdentifiedBench:
     """Fit the force path to reference trials of one bench and return it as parameters of the simulation."""
-    finder = EvidenceFinder(trials)
-    unlike = finder.unlike(trials)
-    if unlike:
-        return IdentifiedBench({}, {}, {}, unlike)
-    return identified_by(finder.reference(trials))
+    outputs = [n for n in PATH_MODEL.signals if all(n in t for t in trials)]
+    recordings = [PATH_MODEL.record(dataclasses.replace(t, columns={
+        n: v for n, v in t.columns.items() if n not in PATH_MODEL.signals or n in outputs})) for t in trials]
+    try:
+        fit = fit_reference(PATH_MODEL, recordings)
+    except (ZeroDivisionError, np.linalg.LinAlgError):  # no rope has such constants
+        return IdentifiedBench({}, {}, {}, f"{trials[0].source}: no constants of the model predict the trials.")
+    unlike = fit.unlike(recordings[0], trials[0].source)
+    return IdentifiedBench({}, {}, {}, unlike) if unlike else dataclasses.replace(
+        identified_by(fit), warning=fit.warning())
 
 
 def identified_by(fit: ReferenceFit) -> IdentifiedBench:
     """Return a fitted force path as parameters of the simulation."""
     names, free = _determined(fit.outputs), list(fit.model.constants.free)
     size = len(free)
-    return IdentifiedBench(simulation_values(_path(fit, fit.bench.mean[:size])),
-                           _sigma(fit, fit.bench.covariance[:size, :size], names),
-                           _sigma(fit, np.diag(fit.model.constants.bench_sd[free] ** 2), names))
+    path = _path(fit, fit.bench.mean[:size])
+    values, scalars = simulation_values(path), scalars_of(path)
+    after, before = fit.bench.covariance[:size, :size], np.diag(fit.model.constants.bench_sd[free] ** 2)
+    prior = _sigma(fit, before, list(scalars), scalars_of)
+    return IdentifiedBench(values, _sigma(fit, after, names), _sigma(fit, before, names), "", scalars, {
+        name: sd for name, sd in _sigma(fit, after, list(scalars), scalars_of).items() if determined(sd, prior[name])})
 
 
 def bench_model_of(fit: ReferenceFit) -> BenchModel:
@@ -93,16 +107,17 @@ def _determined(outputs: Sequence[str]) -> list[str]:
             and ("servo_force_n" in outputs or not n.startswith(("drive_", "demand_")))]
 
 
-def _sigma(fit: ReferenceFit, covariance: Array, names: Sequence[str]) -> dict[str, float]:
-    """Return 1σ of each parameter by the delta method: √(gᵀΣg), g its gradient by the coordinates of the force path."""
+def _sigma(fit: ReferenceFit, covariance: Array, names: Sequence[str],
+           convert: Callable[[Values], Values] = simulation_values) -> dict[str, float]:
+    """Return 1σ of each quantity that `convert` returns: √(gᵀΣg), g its gradient by the coordinates of the path."""
     here = fit.bench.mean[:covariance.shape[0]]
-    base = simulation_values(_path(fit, here))
+    base = convert(_path(fit, here))
     step = 0.3 * fit.model.constants.session_sd[list(fit.model.constants.free)]
     slopes = np.zeros((len(names), here.size))
     for k, size in enumerate(step):
         moved = here.copy()
         moved[k] += size
-        values = simulation_values(_path(fit, moved))
+        values = convert(_path(fit, moved))
         slopes[:, k] = [(values[n] - base[n]) / size for n in names]
     variance = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)
     return dict(zip(names, np.sqrt(np.maximum(variance, 0.0)).tolist(), strict=True))
@@ -146,12 +161,12 @@ def fitted(trials: Sequence[Table], bench: IdentifiedBench, seconds: float = 6.0
     """
     simulated = [_Simulated(t, seconds) for t in trials]
     names = [n for n in REFITTED if n in bench.sigma]
-    width = np.array([np.hypot(bench.sigma[n], difference * _size(RELATION_PARAMETERS[n])) for n in names])
+    width = np.array([np.hypot(bench.sigma[n], difference * _size(ESTIMATED[n])) for n in names])
     own = [(k, n) for k in range(len(trials)) for n in OWN if len(trials) > 1]
     mean = np.concatenate([[bench.values[n] for n in names], np.zeros(len(own))])
     scale = np.concatenate([width, [OWN[n] for _, n in own]])
-    low = np.array([*(RELATION_PARAMETERS[n].low for n in names), *(-5.0 * OWN[n] for _, n in own)])
-    high = np.array([*(RELATION_PARAMETERS[n].high for n in names), *(5.0 * OWN[n] for _, n in own)])
+    low = np.array([*(ESTIMATED[n].low for n in names), *(-5.0 * OWN[n] for _, n in own)])
+    high = np.array([*(ESTIMATED[n].high for n in names), *(5.0 * OWN[n] for _, n in own)])
     # the variables are 10 at the prior mean, since SciPy's finite-difference step is relative to them
     bounds = [10.0 + (edge - mean) / scale for edge in (low, high)]
 

@@ -14,7 +14,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.compared_signals import directions
 from estimation.data.table import Table
 from estimation.likelihood_data import START_S
 from parameters import InputError
@@ -97,6 +96,11 @@ def _figures(given: Table, name: str, simulated: Array, loads_n: Sequence[float]
     speed = np.gradient(given["servo_position_m"], given["time_s"])[keep]
     figures["by_direction"] = [_class(way, rest[mask]) for way, mask in directions(speed).items()]
     return figures
+
+
+def directions(speed: Array, still_m_s: float = 1e-3) -> dict[str, NDArray[np.bool_]]:
+    """Return masks of the samples with the rope pulled, paid out or still, from the rope's `speed`, m/s."""
+    return {"pulled": speed > still_m_s, "paid out": speed < -still_m_s, "still": np.abs(speed) <= still_m_s}
 
 
 def _between(low: float, high: float) -> str:

@@ -21,12 +21,13 @@ import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
-from master.control.homing_fit import adapt, lag_compensated, smoothed
-from master.identification.jackknife import LineFit, Measured, half_width
+from estimation.transfer.homing_fit import adapt, lag_compensated, smoothed
+from estimation.transfer.jackknife import LineFit, Measured, half_width
 from parameters import InputError
-from physics import inverse, stretch
+from physics import correlation, inverse, stretch
 from physics.calibration import Calibration, ScalarEvidence
 from physics.laws import Array
+from physics.parameters import BY_CALIBRATION
 
 POINT_M = 0.4e-3
 """Rope travel, m, that is averaged into one point of the joint fit."""
@@ -93,7 +94,7 @@ _UNKNOWNS = (
     _Unknown("stiffness_c", 1e-4, -0.5, 0.5), _Unknown("stretch_short", 1e-5, -1e-4, 4e-3, 2e-4),
     _Unknown("stretch_wide", 1e-5, -1e-4, 2e-3, 2e-4), _Unknown("cable_compliance", 1e-5, 2e-6, 2e-4),
     _Unknown("fabric_share", 0.1, 0.02, 0.98, 0.3), _Unknown("cable_exponent", 0.05, 0.0, 1.0),
-    _Unknown("fabric_friction", 0.05, 0.0, 1.0), _Unknown("wrap_offset", 0.2, 0.0, 6.0),
+    _Unknown("fabric_friction", 0.05, 0.0, 1.0), _Unknown("wrap_offset", 0.2, 0.0, 6.0, 0.3),
     _Unknown("presliding", 5e-5, 1e-5, 3e-3), _Unknown("fabric_presliding", 5e-5, 1e-5, 3e-3),
     _Unknown("swing_k", 1e-3, 0.005, 0.2), _Unknown("load_slope", 0.1, -0.6, 1.0, 0.2),
     _Unknown("viscous", 5.0, 0.0, 100.0, 20.0), _Unknown("viscous_tension", 5.0, 0.5, 60.0, 15.0),
@@ -181,10 +182,10 @@ def loops(
 ) -> tuple[Calibration, Mapping[str, ScalarEvidence]]:
     """Fit the transfer model to every loop and swing jointly; return scalars and their intervals.
 
-    Intervals are 95 %, of `_errors`; the repeatability is that of leaving out one segment at a time. An unknown that
-    ends at a non-zero limit of the search is not determined: its prior stays. A breakaway whose speed ends there is a
-    model error about a reversal: it is left out. If breakaway remains, the search starts once more from a long memory
-    of it, and the better fit is kept.
+    Intervals are 95 %, of `_covariance`; the repeatability is that of leaving out one segment at a time. An unknown
+    that ends at a non-zero limit of the search is not determined and has no interval. A breakaway whose speed ends
+    there is a model error about a reversal: it is left out. If breakaway remains, the search starts once more from a
+    long memory of it, and the better fit is kept.
     """
     data = [_averaged(segment, offsets) for segment in segments if segment.kind not in ("rest", "gait")]
     start = np.array([getattr(guess, unknown.name, guess.start_lag) for unknown in _UNKNOWNS])
@@ -221,13 +222,15 @@ def loops(
     robust = (1.0 + (fun / ROBUST_N) ** 2) ** -0.25
     scatter = NORMAL_95 * _jackknife(slopes[:rows], (fun * robust)[:rows], sizes, slopes[rows:])
     told = sum(2 if _told_by_end(segment) else 1 for segment in data)
-    half = NORMAL_95 * _errors(slopes[:rows], _lack(fun[:rows], told), slopes[rows:], heavy)
-    half = np.where(_ended(found.x, low, high) & doubted,
-                    np.maximum(half, np.abs(found.x - start) + NORMAL_95 * doubt), half)
+    covariance = _covariance(slopes[:rows], _lack(fun[:rows], told), slopes[rows:], heavy)
+    half = np.where(_ended(found.x, low, high), math.nan, NORMAL_95 * np.sqrt(np.diag(covariance)))
     evidence = {u.name: ScalarEvidence(float(value - by), float(value + by), repeatability=float(again))
                 for u, value, by, again in zip(_UNKNOWNS, found.x, half, scatter, strict=True) if u.name != END_LAG}
+    known = [i for i, u in enumerate(_UNKNOWNS) if u.name != END_LAG and np.isfinite(half[i])]
+    together = correlation.of_covariance([BY_CALIBRATION[_UNKNOWNS[i].name] for i in known],
+                                         covariance[np.ix_(known, known)])
     to = max(float(segment.start.max()) for segment in data)
-    return dataclasses.replace(_with(guess, found.x), identified_to=to), evidence
+    return dataclasses.replace(_with(guess, found.x), identified_to=to, correlation=together), evidence
 
 
 def homed(segment: Segment, calibration: Calibration, offsets: Rest) -> tuple[float, float]:
@@ -308,9 +311,10 @@ def _lack(residuals: Array, told: int) -> float:
     return max(WEIGHT * BELIEVED_N, math.sqrt(float(np.sum(residuals**2)) / told))
 
 
-def _errors(slopes: Array, lack: float, prior: Array, believed: float) -> Array:
-    """Standard errors of the unknowns for a systematic error `lack` a segment and `believed` a prior, a row of
-    `prior`.
+def _covariance(slopes: Array, lack: float, prior: Array, believed: float) -> Array:
+    """Return the covariance of the unknowns for a systematic error `lack` a segment and `believed` a prior.
+
+    Each row of `prior` is one prior.
 
     The covariance is H⁻¹·(lack²·JᵀJ + believed²·PᵀP)·H⁻¹ with H = JᵀJ + PᵀP. A repeated systematic error would hide
     from a jackknife, and a dominant prior would have no variance in it; neither happens here.
@@ -319,7 +323,7 @@ def _errors(slopes: Array, lack: float, prior: Array, believed: float) -> Array:
     told, doubted = slopes / scale, prior / scale
     inverted = np.linalg.inv(told.T @ told + doubted.T @ doubted + 1e-9 * np.eye(len(scale)))
     between = lack**2 * told.T @ told + believed**2 * doubted.T @ doubted
-    return np.asarray(np.sqrt(np.diag(inverted @ between @ inverted)) / scale)
+    return np.asarray(inverted @ between @ inverted / np.outer(scale, scale))
 
 
 def _jackknife(slopes: Array, residuals: Array, sizes: Sequence[int], prior: Array) -> Array:

@@ -1,15 +1,13 @@
 """`bowden fit`: identification of the constants of one bench or rig, and the file model.toml that holds them.
 
-The file is a bench model (`physics.bench_model`).  `[parameters.NAME]`: constants that prediction equations,
-simulation and controller load, each with its 95 % interval.  `[fitted]`: trials and errors of the fit.
-`[effects.NAME]`: effects that a diagnosis may have added.  A constant that the data do not determine has
-`determined = false` and keeps its prior value.
+The file is a bench model (`physics.bench_model`).  `[parameters.NAME]`, `[discrepancy]`: calibration of the bench, as
+`bowden identify` writes it.  `[simulation.NAME]`: parameters of the many-segment simulation, fitted to the same trials.
+`[fitted]`: trials and errors of the fit.  A value that the data do not determine has no interval and is its prior's.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,24 +17,22 @@ from typing import Any, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnosis import rig_fit, simulation, simulation_fit
-from diagnosis.rig_fit import Constant
-from diagnosis.simulation_fit import IdentifiedBench, identified
+from estimation import rig_fit, simulation, simulation_fit
 from estimation.data import integrity, table
 from estimation.data.table import Table
 from estimation.path_model import PATH_MODEL, can_be_of_bench
-from parameters import InputError, declarations, read_toml
-from physics import bench_model
-from physics.bench_model import FITTED, OLDER, RIG, BenchModel
-from physics.calibration import VERSION, Calibration, nominal
-from physics.conversions import UNRELATED, converted, to_scalars
-from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy
+from estimation.rig_fit import Constant
+from estimation.simulation_fit import IdentifiedBench, identified
+from estimation.transfer import trial_calibration
+from parameters import InputError
+from physics.bench_model import BenchModel, of_calibration
+from physics.calibration import Calibration, ScalarEvidence
+from physics.parameters import ESTIMATED
 
 Values = Mapping[str, float]
 
-BENCH: Final = "parameters"
 HEAD: Final = ("# The constants of one bench, fitted to its healthy trials: value with 95 % interval, SI.\n"
-               "# determined = false: these trials do not say it, and it keeps what is known of such benches.\n")
+               "# Without an interval: these trials do not determine it, and it is the one of like benches.\n")
 HEAD_OF_RIG: Final = "# The constants of a rig, fitted to its reference trials: value with 95 % interval, SI.\n"
 ROPE: Final = ("servo_position_m", "servo_target_m", "servo_velocity_m_s")
 """Columns of the rope's motion; their sign is reversed if the rope position falls where the rope is pulled."""
@@ -48,35 +44,27 @@ FIXED: Final = ("theta1", "phi0", "home_preload", "drum_radius")
 class FittedBench:
     """Bench or rig as fitted.
 
-    `figures`: RMS error of the simulated START and END, N, on held-out rows.  `relations`: of a rig, errors by output,
-    in its unit.  `pulls`: 1 if a growing rope position pulls, −1 if it lets out.  Field `told`: parameters of the
-    prediction equations converted from another form, such as that of `bowden identify`.  `rig`: terms of a rig of
-    another kind; None for a bench, which is a rope over a knee.
+    `model`: what model.toml holds.  `constants`: of the simulation, or of a rig, by name.  `figures`: RMS error of the
+    simulated START and END, N, on held-out rows.  `relations`: of a rig, errors by output, in its unit.  `rig`: terms
+    of a rig of another kind; None for a bench, which is a rope over a knee.
     """
 
+    model: BenchModel
     constants: Mapping[str, Constant]
     figures: Mapping[str, Any] = field(default_factory=dict)
     relations: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    trials: tuple[str, ...] = ()
-    pulls: int = 1
     warnings: tuple[str, ...] = ()
-    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    told: Mapping[str, float] = field(default_factory=dict)
     rig: tuple[str, ...] | None = None
 
     @property
     def values(self) -> dict[str, float]:
-        """All parameters of the prediction equations and the simulation; nominal if the model has no value."""
-        brought = {name: value for row in self.effects.values() for name, value in row.items()}
-        return {**healthy(), **self.told, **{n: c.value for n, c in self.constants.items()}, **brought}
+        """All parameters of the simulation; nominal if the model has no value."""
+        return self.model.simulation_values()
 
     @property
-    def calibration(self) -> Calibration:
-        """Calibration whose scalars follow from these constants, each inside its bounds; other scalars are nominal."""
-        told, base = to_scalars({**self.values, **converted(UNRELATED, self.values)}), nominal()
-        bounds = {name: declared for name, _, declared in declarations(Calibration)}
-        inside: dict[str, Any] = {n: min(max(v, bounds[n].low), bounds[n].high) for n, v in told.items() if n in bounds}
-        return dataclasses.replace(base, **inside)
+    def pulls(self) -> int:
+        """1 if a growing rope position pulls, −1 if it lets out."""
+        return int(self.model.fitted["pulls"])
 
     @property
     def undetermined(self) -> list[str]:
@@ -85,51 +73,15 @@ class FittedBench:
 
     def as_json(self) -> dict[str, Any]:
         """Return the model as a dictionary of JSON values."""
-        return {"trials": list(self.trials), "constants": {n: dataclasses.asdict(c) for n, c in self.constants.items()},
+        return {"trials": list(self.model.fitted["trials"]),
+                "constants": {n: dataclasses.asdict(c) for n, c in self.constants.items()},
                 "not_determined": self.undetermined, "simulation": dict(self.figures),
                 "rig": None if self.rig is None else list(self.rig),
                 "relations": {n: dict(r) for n, r in self.relations.items()}, "warnings": list(self.warnings)}
 
     def text(self) -> str:
         """Return the model as the text of model.toml."""
-        lines = [HEAD if self.rig is None else HEAD_OF_RIG, f"version = {VERSION}", 'bench = ""', "", f"[{FITTED}]",
-                 f"trials = {json.dumps(list(self.trials), ensure_ascii=False)}", f"pulls = {self.pulls}"]
-        lines += [f"{end} = {{ unseen_rms_n = {row['rms_n']!r}, peak_n = {row['peak_n']!r} }}"
-                  for end, row in self.figures.items() if row["rms_n"] is not None]
-        if self.rig is not None:
-            lines += [f"terms = {json.dumps(list(self.rig))}"]
-            lines += [f"{name} = {{ unseen_rms = {row['unseen']!r}, unit = {json.dumps(row['unit'])} }}"
-                      for name, row in self.relations.items() if row["unseen"] is not None]
-        for name, c in self.constants.items():
-            lines += ["", f"[{BENCH if self.rig is None else RIG}.{name}]  # {PARAMETERS[name].meaning}",
-                      f"value = {c.value!r}", f'unit = "{c.unit}"', f"interval = [{c.low!r}, {c.high!r}]"]
-            lines += [f"determined = {str(c.determined).lower()}"] if self.rig is None else []
-        return "\n".join(lines) + "\n"
-
-
-def read(path: str | Path) -> FittedBench:
-    """Read a bench model that any command has written.
-
-    Raises `InputError` for an unknown table or a value that is not a number.
-    """
-    given = read_toml(Path(path))
-    model = bench_model.read(path)
-    rows = given.get(OLDER, given.get(BENCH, {}))
-    constants = {name: _constant(row, model, name) for name, row in rows.items() if name in RELATION_PARAMETERS}
-    return dataclasses.replace(of_model(model), constants=constants)
-
-
-def of_model(model: BenchModel) -> FittedBench:
-    """Return a bench model as the parameters of prediction equations and simulation; nominal where it has no value."""
-    return FittedBench({}, trials=tuple(model.fitted.get("trials", ())), pulls=int(model.fitted.get("pulls", 1)),
-                       effects=model.effects, told=model.related())
-
-
-def _constant(row: Any, model: BenchModel, name: str) -> Constant:
-    value, known = model.values[name], model.evidence.get(name)
-    said = known is not None and math.isfinite(known.low + known.high)
-    low, high = (known.low, known.high) if known is not None and said else (value, value)
-    return Constant(value, low, high, RELATION_PARAMETERS[name].unit, bool(row.get("determined", True)))
+        return (HEAD if self.rig is None else HEAD_OF_RIG) + self.model.text()
 
 
 def fit(trials: Sequence[str | Path | Table], lowpass: float | None = None) -> FittedBench:
@@ -137,7 +89,7 @@ def fit(trials: Sequence[str | Path | Table], lowpass: float | None = None) -> F
 
     `lowpass`: cut-off, Hz, of the zero-phase low-pass that every signal first passes (None: no filter).  Trials of
     another rig than a rope over a knee are fitted by `rig_fit`.
-    Raises `InputError` for contradictory trials, and for columns that allow no prediction equation.
+    Raises `InputError` for contradictory trials, and for columns that allow no prediction.
     """
     if not trials:
         raise InputError("fit: no trial given; name at least one healthy trial.")
@@ -169,8 +121,27 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
         return _rig(usable, given, findings)
     whole = identified(tables)
     values = simulation_fit.fitted(tables, whole)
-    return FittedBench(_constants(values, whole), unseen, trials=tuple(Path(t.source).name for t in given),
-                       pulls=pulls, warnings=tuple(f.text for f in findings))
+    constants = _constants(values, whole)
+    known = of_calibration(_calibration(tables, whole))
+    figures = {end: {"unseen_rms_n": row["rms_n"], "peak_n": row["peak_n"]} for end, row in unseen.items()
+               if row["rms_n"] is not None}
+    model = dataclasses.replace(
+        known, fitted={"trials": [Path(t.source).name for t in given], "pulls": pulls, **figures},
+        simulation={n: c.value for n, c in constants.items()},
+        simulation_evidence={n: ScalarEvidence(c.low, c.high) for n, c in constants.items() if c.determined})
+    unstable = [whole.warning] if whole.warning else []
+    return FittedBench(model, constants, unseen, warnings=(*(f.text for f in findings), *unstable))
+
+
+def calibrated(trials: Sequence[Table]) -> Calibration:
+    """Return the calibration that `fit` would find, without a fit of the simulation; trials of a bench, as recorded."""
+    with threadpool_limits(1, user_api="blas"):
+        bench = identified(trials)
+        return _calibration(trials, bench)
+
+
+def _calibration(trials: Sequence[Table], bench: IdentifiedBench) -> Calibration:
+    return trial_calibration.calibrated(trials, bench.scalars, bench.scalar_sigma, bench.values["end_offset"])
 
 
 def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
@@ -197,8 +168,12 @@ def _rig(usable: Sequence[Table], given: Sequence[Table], findings: Sequence[int
     found = rig_fit.fit(first, rest, usable)
     blind = (f"{name}: the last part of each trial is predicted no better than by a constant; record longer trials, "
              "or more kinds of motion." for name, row in found.signals.items() if row["unseen"] > row["spread"])
-    return FittedBench(found.constants, {}, found.signals, tuple(Path(t.source).name for t in given),
-                       warnings=(*(f.text for f in findings), *blind), rig=found.effects)
+    errors = {name: {"unseen_rms": row["unseen"], "unit": row["unit"]} for name, row in found.signals.items()
+              if row["unseen"] is not None}
+    model = BenchModel(
+        fitted={"trials": [Path(t.source).name for t in given], "pulls": 1, "terms": list(found.effects), **errors},
+        rig={n: {"value": c.value, "unit": c.unit, "interval": [c.low, c.high]} for n, c in found.constants.items()})
+    return FittedBench(model, found.constants, {}, found.signals, (*(f.text for f in findings), *blind), found.effects)
 
 
 def _part(given: Table, low: float, high: float) -> Table:
@@ -240,16 +215,14 @@ def _constants(values: Values, found: IdentifiedBench) -> dict[str, Constant]:
     """
     constants = {}
     for name, sigma in found.sigma.items():
-        stated = RELATION_PARAMETERS[name]
+        stated = ESTIMATED[name]
         half = 1.96 * math.hypot(sigma, values[name] - found.values[name])
         value, low, high = (min(max(values[name] + side * half, stated.low), stated.high) for side in (0.0, -1.0, 1.0))
         constants[name] = Constant(value, low, high, stated.unit, rig_fit.determined(sigma, found.prior_sigma[name]))
-    return constants | {n: Constant(values[n], values[n], values[n], RELATION_PARAMETERS[n].unit, False)
+    return constants | {n: Constant(values[n], values[n], values[n], ESTIMATED[n].unit, False)
                         for n in FIXED}
 
 
-def as_fitted(given: Table, model: FittedBench) -> Table:
+def as_fitted(given: Table, model: BenchModel) -> Table:
     """Return a trial whose rope position has the sign of the model's trials."""
-    if model.pulls > 0:
-        return given
-    return turned(given)
+    return turned(given) if model.fitted.get("pulls", 1) < 0 else given

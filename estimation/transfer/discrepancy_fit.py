@@ -23,8 +23,8 @@ from numba import njit
 from scipy.linalg import block_diag
 from scipy.signal import butter, sosfiltfilt
 
-from master.control.homing_fit import lag_compensated
-from master.identification.calibration_fit import Rest, Segment
+from estimation.transfer.calibration_fit import Rest, Segment
+from estimation.transfer.homing_fit import lag_compensated
 from physics import end_discrepancy, inverse
 from physics.calibration import Calibration
 from physics.end_discrepancy import EndDiscrepancy

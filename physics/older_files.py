@@ -1,0 +1,60 @@
+"""Files of older versions, translated to today's tables and names; every other module reads today's alone.
+
+Version 1 of a calibration has `[scalars.NAME]`, with the controller's names, for `[parameters.NAME]`.  The first
+`bowden fit` wrote `[constants.NAME]`, later ones `[parameters.NAME]`, for `[simulation.NAME]`.  `RENAMED` lists names
+of parameters.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from typing import Any, Final
+
+from parameters import Remark
+from physics.parameters import BY_CALIBRATION, CALIBRATION_UNITS
+
+VERSION: Final = 2
+READ: Final = (1, VERSION)
+"""Versions that are read."""
+SCALARS: Final = "scalars"
+CONSTANTS: Final = "constants"
+OLDER_TABLES: Final = (SCALARS, CONSTANTS)
+RENAMED: Final[Mapping[str, str]] = {"moment_arm_m": "rope_per_knee", "moment_arm": "rope_per_knee_quadratic",
+                                     "knee_ratio": "rope_per_knee"}
+"""Names that older files give to parameters, and today's."""
+PARAMETERS_TABLE: Final = "parameters"
+SIMULATION_TABLE: Final = "simulation"
+FITTED_TABLE: Final = "fitted"
+
+
+def translated(tables: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return the tables of a bench model with today's names; `where` is the file that a `Remark` names."""
+    found = dict(tables)
+    if isinstance(scalars := found.pop(SCALARS, None), Mapping):
+        found[PARAMETERS_TABLE] = {BY_CALIBRATION.get(name, name): _in_today_s_unit(BY_CALIBRATION.get(name, name), row)
+                                   for name, row in scalars.items()}
+    if isinstance(constants := found.pop(CONSTANTS, None), Mapping):
+        found |= {SIMULATION_TABLE: constants, "version": VERSION}
+    own = found.get(PARAMETERS_TABLE)
+    if FITTED_TABLE in found and SIMULATION_TABLE not in found and isinstance(own, Mapping) and "mu1" in own:
+        # the zero of that fit was of an unloaded rope, where no bench homes
+        found |= {SIMULATION_TABLE: own, PARAMETERS_TABLE: {n: r for n, r in own.items() if n != "home_preload"}}
+    for name in (PARAMETERS_TABLE, SIMULATION_TABLE):
+        if isinstance(rows := found.get(name), Mapping):
+            found[name] = current_names(rows, where)
+    return found
+
+
+def _in_today_s_unit(name: str, row: Any) -> Any:
+    written = isinstance(row, Mapping) and name in CALIBRATION_UNITS and row.get("unit") == CALIBRATION_UNITS[name]
+    return {key: value for key, value in row.items() if key != "unit"} if written else row
+
+
+def current_names(table: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return `table` with today's names; one `Remark`, beginning with `where`, lists the renamed ones."""
+    old = [name for name in table if name in RENAMED]
+    if old:
+        listed = ", ".join(f"{name} is called {RENAMED[name]} today" for name in old)
+        warnings.warn(f"{where}: {listed}; read as such.", Remark, stacklevel=2)
+    return {RENAMED.get(name, name): value for name, value in table.items()}
