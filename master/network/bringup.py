@@ -17,6 +17,7 @@ from eds.dictionary import key
 from master.network.drive_limits import DriveLimit
 from master.network.link import Link
 from master.network.sdo import SdoError
+from parameters import InputError
 
 LISTEN_NS = 250_000_000
 BOOT_NS = 3_000_000_000
@@ -174,6 +175,8 @@ def _limit(link: Link, entry: NodeEntry, limit: DriveLimit) -> None:
     try:
         link.sdo_write(entry.node_id, limit.index, limit.subindex, encode(declared.data_type, limit.value))
         found = decode(declared.data_type, link.sdo_read(entry.node_id, limit.index, limit.subindex))
+    except InputError:  # of a plug-in behind a simulated bus
+        raise
     except (SdoError, ValueError) as error:
         raise BringUpError(f"{where} does not take {limit.value} ({limit.text}), its limit of {limit.function}: "
                            f"{error}; raise the limit in [limits], or use a drive that takes it.") from None

@@ -164,6 +164,8 @@ def test_an_encoder_whose_scale_is_off_is_a_fault_within_a_degree_of_the_leg() -
     for step in range(1, 1201):
         rig.target = -50 * step
         rig.run(1)
+        if rig.state() is State.FAULT:
+            break
     assert rig.emergencies() == [0x7305]
     assert rig.state() is State.FAULT
     assert 0.13 / 1.13 * abs(rig.read(0x6064)) < 1_000
