@@ -117,7 +117,7 @@ def test_a_model_comes_back_from_its_file(identified: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize(("text", "said"), [
     ("", "states neither parameters nor effects"),
     ("[plant]\nmu1 = 0.1\n",
-     "unknown table plant; expected [parameters], [scalars], [discrepancy], [effects], [found]"),
+     "unknown table plant; expected [parameters], [scalars], [constants], [discrepancy], [effects], [found]"),
     ("version = 9\n[effects.slack]\nslack = 1e-3\n", "version = 9, expected 2"),
     ("version = 2\n[parameters.mu9]\nvalue = 1.0\n", "unknown parameter mu9"),
     ("version = 2\n[parameters.mu2]\nvalue = 7.0\n", "mu2 = 7.0 is outside 0 … 1"),

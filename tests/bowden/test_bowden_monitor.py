@@ -141,7 +141,7 @@ def test_the_pdos_of_the_bench_have_the_mapping_that_bring_up_writes(bowden: Run
     targets = [line for line in told if line.startswith("targets: ")]
     assert targets[-1].startswith("targets: Target position of 1 ")
     assert re.search(r"Target position of 1 \S+ m, Target position of 2 \S+ rad$", targets[-1])
-    assert re.search(r"tpdo1: Statusword \d+, Position actual value \S+ m, Torque actual value \S+ N·m$",
+    assert re.search(r"tpdo1: Statusword 0x\w{4} \(.+?\), Position actual value \S+ m, Torque actual value \S+ N·m$",
                      "\n".join(told), re.MULTILINE)
     assert not [line for line in told if "bytes in place of" in line]
 
