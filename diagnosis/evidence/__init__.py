@@ -1,8 +1,8 @@
 """Evidence of the catalogue's effects in a trial, on the posterior of `estimation`.
 
-    ln B(effect) = ln p(y | effect) − ln p(y | reference condition)      Laplace approximation at the modes
+    ln B(effect) = ln p(y | effect) − ln p(y | reference condition)      Laplace approximation at the modes.
 
-An effect adds prior variance along directions of the constants (`physics.effects.hypotheses`).  Modules, lowest first:
+An effect adds prior variance along directions of the constants (`physics.effects.hypotheses`).  Modules, lowest first.
 
     shape_family           evidence averaged over shapes of an effect
     hypothesis_search      hypotheses about one trial

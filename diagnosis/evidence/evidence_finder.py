@@ -258,8 +258,8 @@ def _at_peak(found: Searched, at: PosteriorMode, variant: Variant) -> dict[str, 
 def _refused(found: Searched, decided: Decision, figures: HeldOut) -> str:
     """Return a sentence if the best effect is not named after all; else "".
 
-    It is not if it makes the prediction of held-out cycles worse.  Nor is it if the best model has a lack of fit, and
-    either the evidence is below `DOUBTED` times the threshold or a misfit above `DOUBTED` times that of a lack of fit.
+    It is not if it makes the prediction of held-out cycles worse.  With a lack of fit of the best model, the evidence
+    must reach `DOUBTED` times the threshold, and no misfit may exceed `DOUBTED` times that of a lack of fit.
     """
     gain = figures.gain()
     if gain is None:

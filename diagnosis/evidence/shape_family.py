@@ -1,10 +1,10 @@
 """Evidence of an effect averaged over a family of shapes and over the amplitude of the session's discrepancy.
 
-    y − f(q̂ + x) = Φ(c + d + a·d′) + s·(f(q̂) − f(q̂ without the effect))·Φw + ε        d′, w ~ N(0, 1)
+    y − f(q̂ + x) = Φ(c + d + a·d′) + s·(f(q̂) − f(q̂ without the effect))·Φw + ε        d′, w ~ N(0, 1).
 
-The equation of an effect differs from the bench's by a share s of the effect that depends on motion and load, such as
-another pivot, load or speed law, or spread of travels.  Readings of sensors have exact equations: s = 0 for effects of
-sensors.  With and without an effect the discrepancy may change between sessions by a further share a of it.  Both are
+The equation of an effect differs from the bench's by a share s of the effect that depends on motion and load.
+Examples are another pivot, load or speed law, or spread of travels.  Readings of sensors have exact equations: s = 0
+for effects of sensors.  With and without an effect the discrepancy may change between sessions by a further share a of it.  Both are
 linear at a mode, so that each evidence is a closed form; they are averaged with equal weights.
 """
 

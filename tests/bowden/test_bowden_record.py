@@ -41,7 +41,7 @@ def test_init_asks_on_a_terminal(here: Path) -> None:
     root = Path(__file__).resolve().parents[2]
     with subprocess.Popen(command, stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                           env={**os.environ, "PYTHONPATH": str(root)}) as asking:
-        os.write(ours, b"left leg\n\nN. N.\n\n\n\n")
+        os.write(ours, b"left leg\n\n\nN. N.\n\n\n")
         said, _ = asking.communicate()
     os.close(ours)
     os.close(theirs)

@@ -23,7 +23,8 @@ from bowden.progress import Silent
 from trial.mcap_file import cdr
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("bowden", "diagnosis", "eds", "logbook", "master", "nodes", "parameters", "physics", "trial", "virtual_bus")
+PACKAGES = ("bowden", "diagnosis", "eds", "estimation", "logbook", "master", "nodes", "parameters", "physics", "trial",
+            "virtual_bus")
 SHORT = bowden.Experiment(period_s=0.6, cycles=1, settle=0)
 MORE = """
 import numpy as np

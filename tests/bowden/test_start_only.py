@@ -59,7 +59,7 @@ def test_the_controller_s_steps_are_made_again(ran: Path, bowden: Command) -> No
 
 def test_the_report_says_why_figures_are_absent(ran: Path, bowden: Command) -> None:
     assert bowden("report", ran / "trial.mcap", "-o", ran / "report.html")[0] == 0
-    assert "No figures of force: tension_end_n not known." in (ran / "report.html").read_text()
+    assert "No figures of force: END (measured) not known." in (ran / "report.html").read_text()
 
 
 @pytest.mark.exhaustive
