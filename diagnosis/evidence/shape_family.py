@@ -4,8 +4,8 @@
 
 The equation of an effect differs from the bench's by a share s of the effect that depends on motion and load.
 Examples are another pivot, load or speed law, or spread of travels.  Readings of sensors have exact equations: s = 0
-for effects of sensors.  With and without an effect the discrepancy may change between sessions by a further share a of it.  Both are
-linear at a mode, so that each evidence is a closed form; they are averaged with equal weights.
+for effects of sensors.  With and without an effect the discrepancy may change between sessions by a further share a of
+it.  Both are linear at a mode, so that each evidence is a closed form; they are averaged with equal weights.
 """
 
 from __future__ import annotations
