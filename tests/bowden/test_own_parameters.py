@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -98,6 +99,7 @@ def test_a_sweep_varies_them_and_a_trial_that_raises_ends_its_row(own: Path) -> 
 
 
 def test_a_worker_in_another_folder_finds_a_plug_in(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "own", raising=False)  # another test's plug-in of that name
     row = planned("controller=own:Own", "controller.kp=95")[0]
     placed = sweep_rows.placed(row)
     assert placed["gait.controller"] == f"{own.resolve() / 'own.py'}:Own"
