@@ -82,6 +82,8 @@ def _by_evidence(found: Findings) -> Iterator[str]:
                f"{_places(found.unexplained, errors)}; no cause is named.")
     elif errors is not None:
         yield none_sentence(errors, found.of_rig)
+    if found.unexplained or found.verdict == "unexplained":
+        yield "bowden discover, with the same trials, seeks a law for it."
     yield from _set(found)
     listed = _shifts((found.evidence or {}).get("shifts", {}))
     if listed:
