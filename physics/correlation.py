@@ -32,10 +32,13 @@ class Correlation(NamedTuple):
 
 
 def of_covariance(names: Sequence[str], covariance: Array) -> Correlation:
-    """Return the correlation of the covariance of `names`, shape (names, names), each with a variance above 0."""
-    sd = np.sqrt(np.diag(covariance))
-    rounded = np.round(covariance / np.outer(sd, sd), 4)
-    return Correlation(tuple(names), tuple(tuple(row) for row in rounded.tolist()))
+    """Return the correlation of the covariance of `names`, shape (names, names); a name without a variance is left out.
+    """
+    variance = np.diag(covariance)
+    known = np.flatnonzero(np.isfinite(variance) & (variance > 0.0)).tolist()
+    sd: Array = np.sqrt(variance[known])
+    rounded = np.round(covariance[np.ix_(known, known)] / np.outer(sd, sd), 4)
+    return Correlation(tuple(names[k] for k in known), tuple(tuple(row) for row in rounded.tolist()))
 
 
 def lines(known: Correlation | None) -> list[str]:
