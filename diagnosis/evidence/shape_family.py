@@ -81,9 +81,11 @@ def residual(at: PosteriorMode, columns: Array, shares: Sequence[float]) -> Arra
     Data of weight 0 are predicted.
     """
     if not columns.shape[1]:
-        shares, columns = (0.0,), np.zeros((at.residual.size, 1))
+        return at.residual
     solved = _solved(at, columns)
     best, left = -np.inf, at.residual
+    # the mode's own residual is exact; only the change by the columns is linear
+    without = solved.error - at.inward @ (at.inward.T @ solved.applied_error)
     for share in shares:
         pull = share * columns.T @ solved.applied_error
         inner = np.eye(pull.size) + share**2 * columns.T @ solved.applied
@@ -91,7 +93,8 @@ def residual(at: PosteriorMode, columns: Array, shares: Sequence[float]) -> Arra
         gain = 0.5 * float(pull @ step) - 0.5 * float(np.linalg.slogdet(inner)[1])
         if gain > best:
             whole = solved.applied_error - share * solved.applied @ step
-            best, left = gain, solved.error - at.inward @ (at.inward.T @ whole) - share * columns @ step
+            changed = solved.error - at.inward @ (at.inward.T @ whole) - share * columns @ step
+            best, left = gain, at.residual + changed - without
     return np.asarray(left)
 
 
