@@ -1,6 +1,6 @@
 """Interoperability of CANopen stacks: each service, both ways, tried on the virtual bus; writes docs/interop.md.
 
-`python -m benchmarks.interop` prints the page, `--write` writes it. npm's canopen is needed (`.ci/run` installs it).
+`python -m benchmarks.interop` prints the page, `--write` writes it. npm's canopen is needed (of `.ci/nightly`).
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ def npm_absent() -> str:
     """Say what of npm's canopen is missing; empty where it is there."""
     if shutil.which("node") is None:
         return "node is absent"
-    return "" if (MODULES / "canopen").is_dir() else "npm's canopen is absent; .ci/run installs it into build/foreign"
+    return "" if (MODULES / "canopen").is_dir() else "npm's canopen is absent; .ci/nightly installs it in build/foreign"
 
 
 class NpmNode(Station):

@@ -1,6 +1,6 @@
 """canopen's own tests of its client against its local node, run against our device core in the local node's place.
 
-The classes come from canopen's source distribution (`.ci/run` fetches it from the package index and says where by
+The classes come from canopen's source distribution (`.ci/nightly` fetches it from the package index and says where by
 BOWDEN_CANOPEN_TESTS); without it the tests are skipped.  What differs is listed in `DIFFERENT` with its reason.  The
 devices are made of canopen's own sample.eds, on python-can's `virtual` bus, in a thread of their own.
 """
@@ -144,7 +144,7 @@ class Served:
 def cases() -> dict[str, Any]:
     """The suite's classes with our devices for local nodes, by the names of their tests."""
     if not (SUITE / "test_local.py").exists():
-        pytest.skip(f"canopen's tests are not in {SUITE}; .ci/run fetches them")
+        pytest.skip(f"canopen's tests are not in {SUITE}; .ci/nightly fetches them")
     name = "canopen_suite"
     package = importlib.util.spec_from_file_location(name, SUITE / "__init__.py",
                                                      submodule_search_locations=[str(SUITE)])

@@ -32,7 +32,7 @@ def knee(own: str) -> Iterator[str]:
     """The channel on which a foreign knee drive listens."""
     absent = [name for name in ("canopen", "socketcan") if not (MODULES / name).is_dir()]
     if absent or shutil.which("node") is None:
-        pytest.skip(f"npm's {' and '.join(absent) or 'node'} is absent; .ci/run installs it into build/foreign")
+        pytest.skip(f"npm's {' and '.join(absent) or 'node'} is absent; .ci/nightly installs it into build/foreign")
     command = ["node", str(DEVICE), own, str(packaged("knee_drive")), str(KNEE)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True,
                           env={**os.environ, "NODE_PATH": str(MODULES)}) as process:

@@ -1,6 +1,6 @@
 """python-can's own tests of two buses on one wire, run on ours.
 
-The class comes from python-can's source distribution (`.ci/run` fetches it from the package index and says where by
+The class comes from python-can's source distribution (`.ci/nightly` fetches it from the package index and says where by
 BOWDEN_PYTHON_CAN_TESTS); without it the tests are skipped.  What differs is listed in `DIFFERENT` with its reason.
 """
 
@@ -32,7 +32,7 @@ DIFFERENT = {
 def case() -> Any:
     """The class, on our interface; the nodes have booted and are silent until a master speaks to them."""
     if not (SUITE / "back2back_test.py").exists():
-        pytest.skip(f"python-can's tests are not in {SUITE}; .ci/run fetches them")
+        pytest.skip(f"python-can's tests are not in {SUITE}; .ci/nightly fetches them")
     name = "python_can_suite"
     package = importlib.util.spec_from_file_location(name, SUITE / "__init__.py",
                                                      submodule_search_locations=[str(SUITE)])
