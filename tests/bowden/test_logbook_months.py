@@ -33,8 +33,8 @@ BENCHES = {
         ("--plant", "tests.hidden.plugin:knee_backlash"), frozenset({"found", "ambiguous"}),
         frozenset({"knee_backlash"})),
     "packaged plant": Wearing(
-        lambda k: ("--serial", 5, "--period", 1.0), (), ("--plant-model", "worn.toml"), frozenset({"unexplained"}),
-        frozenset()),
+        lambda k: ("--serial", 5, "--period", 1.0), (), ("--plant-model", "worn.toml"),
+        frozenset({"found", "ambiguous"}), frozenset({"knee_backlash"})),
 }
 
 
