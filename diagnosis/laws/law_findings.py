@@ -16,7 +16,6 @@ from estimation.data.table import Table
 from estimation.likelihood_data import Recording
 from estimation.posterior import Observed, PosteriorMode
 from estimation.reference_fit import ReferenceFit
-from physics.effects.hypotheses import Variant
 from physics.laws import Array
 from physics.terms import MODULATIONS, Term
 
@@ -97,16 +96,14 @@ class Laws:
                 "rejected": self.rejected, "experiment": self.experiment}
 
 
-def discover(reference: ReferenceFit, observed: Observed, tables: Sequence[Table], kept: Sequence[Variant] = (),
-             start: Array | None = None) -> Laws:
+def discover(reference: ReferenceFit, observed: Observed, tables: Sequence[Table]) -> Laws:
     """Return the terms that extend the model of `reference` in trials of one session.
 
-    `observed`: the trials' data; `tables`: the same trials.  `kept`: variants of effects already in the model, with
-    the mode `start` of their fit.  A set of terms must gain on held-out cycles and worsen no judged signal there by
-    more than `WORSE`; else its last term is dropped.
+    `observed`: the trials' data; `tables`: the same trials.  A term is kept if it gains on held-out cycles and worsens
+    no signal there by more than `WORSE`; the first one that is not ends the search.
     """
     search = LawSearch(observed, reference.prior_of(observed), reference, blocks_of(tables, observed.trials),
-                       _phases(tables, observed.trials), kept, start)
+                       _phases(tables, observed.trials))
     chosen, at, errors, runners, rejected = _selected(search)
     return Laws(search.terms(chosen, at), [c.nats for c in chosen], _signal_errors(search, errors),
                 _nearly(runners) if chosen else [], search.size, rejected,

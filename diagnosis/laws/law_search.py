@@ -25,7 +25,6 @@ from diagnosis.evidence.decision import NAMED_NATS
 from diagnosis.laws.library import VIBRATING, Candidates, Modulated, candidates, carriers_of, in_units, modulated
 from estimation.posterior import Gaussian, Observed, PosteriorMode, mode
 from estimation.reference_fit import ReferenceFit
-from physics.effects.hypotheses import Variant
 from physics.laws import Array
 from physics.terms import MODULATIONS, Carrier, Term
 
@@ -62,8 +61,7 @@ class Candidate(NamedTuple):
 class LawSearch:
     """Search of terms in the trials of one session, from the fit `base` of constants and discrepancy.
 
-    `blocks`: cycle number of each bin, by trial.  `phases`: gait phase of each bin, by trial, or None.  `kept`:
-    variants of catalogue effects that stay in the model.
+    `blocks`: cycle number of each bin, by trial.  `phases`: gait phase of each bin, by trial, or None.
     """
 
     observed: Observed
@@ -71,8 +69,6 @@ class LawSearch:
     reference: ReferenceFit
     blocks: Sequence[NDArray[np.intp]]
     phases: Sequence[Array] | None
-    kept: Sequence[Variant] = ()
-    start: Array | None = None
     base: PosteriorMode = field(init=False)
     carriers: dict[str, Carrier] = field(init=False)
     modulated: list[Modulated] = field(init=False)
@@ -80,8 +76,8 @@ class LawSearch:
 
     def __post_init__(self) -> None:
         """Fit the session without terms, and lay out the library on the courses of its trials."""
-        starts = [self.start] if self.start is not None else [self.prior.mean, *self.reference.starts()]
-        self.base = max((mode(self.observed, self.prior, self.kept, at) for at in starts),
+        starts = [self.prior.mean, *self.reference.starts()]
+        self.base = max((mode(self.observed, self.prior, start=at) for at in starts),
                         key=lambda m: m.log_evidence)
         model = self.observed.model
         phases: Sequence[Array | None] = self.phases or [None] * len(self.observed.trials)
@@ -138,7 +134,7 @@ class LawSearch:
             prior = _extended(self.prior, sds)
             start = np.concatenate([at.x[:plain], np.zeros(sds.size)])
             start[plain:][:at.x.size - plain] = at.x[plain:][:sds.size]
-            at = mode(whole, prior, self.kept, start)
+            at = mode(whole, prior, start=start)
         return at
 
     # -- screen and refinement -----------------------------------------------------------------------------------------
@@ -224,7 +220,7 @@ class LawSearch:
 
     def held_out(self) -> Array:
         """Return the residual of the data on held-out cycles with the session adapted and no term, shape (data,)."""
-        return self._by_fold(lambda seen: mode(seen, self.prior, self.kept, self.base.x))
+        return self._by_fold(lambda seen: mode(seen, self.prior, start=self.base.x))
 
     def predicted(self, chosen: Sequence[Candidate], at: PosteriorMode) -> Array:
         """Return the residual of the data on held-out cycles with terms, shape (data,).
