@@ -31,6 +31,11 @@ class WalkOptions(NamedTuple):
     soft_start: options.SoftStart = None
     tuning: options.Tuning = None
 
+    def given(self) -> dict[str, Any]:
+        """Return the options by their spelling; None for those not given."""
+        return {"--set" if name == "tuning" else f"--{name.replace('_', '-')}": value
+                for name, value in self._asdict().items()}
+
     def gait(self, section: Any, controller: str | None = None) -> Any:
         """Return the configuration's `section`, overridden by the options; `controller` is the default controller."""
         from bowden.bench.configuration import override

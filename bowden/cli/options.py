@@ -32,7 +32,7 @@ def effects(incomplete: str) -> list[str]:
 
 def experiments(incomplete: str) -> list[str]:
     """Return the experiments that begin as typed."""
-    return _beginning(SCRIPTED, incomplete)
+    return _beginning((*SCRIPTED, "repeat"), incomplete)
 
 
 def controllers(incomplete: str) -> list[str]:
@@ -94,7 +94,10 @@ Desired = Annotated[Path | None, _file("Desired force, CSV of time_s or gait_per
 Calibration = Annotated[Path | None, _file("Bench model to work from (default: the packaged nominal one).")]
 Script = Annotated[str | None, typer.Option(
     "--experiment", metavar="NAME", autocompletion=experiments,
-    help=f"In place of the gait, one that separates effects: {', '.join(SCRIPTED)}.")]
+    help=f"In place of the gait, one that separates effects: {', '.join(SCRIPTED)}; or repeat, with --motion-of.")]
+MotionOf = Annotated[Path | None, _file(
+    "Repeat the rope and knee motion of this recorded trial, with its gait and settings (--experiment repeat).",
+    "--motion-of")]
 ControllerModel = Annotated[Path | None, _file("Bench model whose effects the controller knows of.")]
 DryRun = Annotated[bool, _given("Everything on the bus, drives never enabled.", "--dry-run")]
 

@@ -99,6 +99,7 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
     from diagnosis.evidence import decision
     from diagnosis.evidence.experiment_prediction import predicted_experiments
     from diagnosis.evidence.hypothesis_search import search
+    from diagnosis.evidence.identical_motion import REPEAT, paired
     from diagnosis.evidence.shape_family import feature_sd
     from estimation.path_model import PATH_MODEL
     from estimation.reference_fit import fit_reference
@@ -111,11 +112,17 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
             raise InputError(f"{given.source}: has no column {', '.join(missing)}; record it.")
     tried = tuple(sorted({t.experiment for t in trials} - {"", "gait"}))
     with threadpool_limits(1, user_api="blas"):
-        reference = fit_reference(PATH_MODEL, [PATH_MODEL.record(t) for t in healthy], session_sd)
+        walked = [PATH_MODEL.record(t) for t in healthy]
+        reference = fit_reference(PATH_MODEL, walked, session_sd)
         observed = reference.observe(*(PATH_MODEL.record(t) for t in trials))
-        found = search(observed, reference.prior_of(observed), reference.starts(), feature_sd(reference))
+        pair = paired(reference, walked, observed)
+        if pair is None:
+            found = search(observed, reference.prior_of(observed), reference.starts(), feature_sd(reference))
+        else:
+            tried = (*tried, REPEAT)
+            found = search(pair.observed, pair.prior, (), feature_sd(reference))
         decided = decision.decide(found)
-        experiments = predicted_experiments(found, decided.among, reference, tried)
+        experiments = predicted_experiments(found, decided.among, reference, tried, walked)
     return ExperimentPlan(decided.verdict, decided.among, tuple(experiments), tried, _by_hand(decided.among))
 
 

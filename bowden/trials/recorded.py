@@ -35,7 +35,7 @@ def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = 
     `scripts` also takes those that ran in place of the gait (see `script`).  `allowed`: the controller "module:Class"
     that may be imported because the trial names it; a received file must not decide which code runs.
     """
-    from bowden.trials import force_paths, provenance, session
+    from bowden.trials import force_paths, provenance, repeated_motion, session
     from master.motion.experiment_run import ExperimentSetup
     from physics.calibration import read
 
@@ -56,7 +56,7 @@ def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = 
         model = folder / provenance.CONTROLLER_MODEL
         made = ExperimentSetup(
             reference=reference, calibration=read(folder / "calibration.toml"),
-            **session.beyond(model if model.exists() else None),
+            **session.beyond(model if model.exists() else None), targets=repeated_motion.targets_of(recorded.attachments),
             dry_run=recorded.metadata.get("dry_run") == "true", **chosen)
     if recorded.metadata.get("course", provenance.course(made)) != provenance.course(made):
         raise InputError(f"{recorded.path}: the motion or force it was run with is not in the file; "

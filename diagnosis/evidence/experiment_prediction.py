@@ -24,8 +24,9 @@ from scipy.stats import norm
 
 from diagnosis.evidence.decision import SET_SHARE
 from diagnosis.evidence.hypothesis_search import Searched
+from diagnosis.evidence.identical_motion import REPEAT, pair_of
 from estimation.data.table import table
-from estimation.likelihood_data import GRID_S, PathRecording
+from estimation.likelihood_data import GRID_S, PathRecording, Recording
 from estimation.outputs import predict
 from estimation.posterior import SURROGATE, Gaussian, Observed, PosteriorMode, widened
 from estimation.reference_fit import ReferenceFit
@@ -93,17 +94,19 @@ class _Predicted:
 
 
 def predicted_experiments(found: Searched, among: Sequence[str], reference: ReferenceFit,
-                          tried: Sequence[str] = ()) -> list[PlannedExperiment]:
+                          tried: Sequence[str] = (), walked: Sequence[Recording] = ()) -> list[PlannedExperiment]:
     """Return the predicted outcome of each experiment that the bench runs without a person, the most decisive first.
 
-    `among`: the ambiguity set.  `tried`: experiments already run, which are omitted.  Returns [] if fewer than two
-    effects of the set were fitted alone.
+    `among`: the ambiguity set.  `tried`: experiments already run, which are omitted.  `walked`: the reference trials,
+    whose motion can be repeated.  Returns [] if fewer than two effects of the set were fitted alone.
     """
     effects = [name for name in among if name in found.single]
     if len(effects) < 2:
         return []
     planned = [_planned(name, found, effects, reference) for name, one in EXPERIMENTS.items()
                if one.script and one.waypoints and name not in tried]
+    if walked and REPEAT not in tried:
+        planned += [_repeated(found, effects, reference, walked[-1], len(walked) - 1)]
     return sorted(planned, key=lambda one: (-min(one.best, DECIDES), one.seconds))
 
 
@@ -117,6 +120,16 @@ def _planned(name: str, found: Searched, effects: Sequence[str], reference: Refe
     sure = [_decides(found, effects, observed, slopes, prior) for prior in (reference.prior, paired)]
     chance, nats, pair = sure[0]
     return PlannedExperiment(name, float(recording.time_s[-1]), chance, sure[1][0], nats, pair)
+
+
+def _repeated(found: Searched, effects: Sequence[str], reference: ReferenceFit, walked: Recording, number: int
+              ) -> PlannedExperiment:
+    """Return the predicted outcome of a trial with the motion of reference trial `number`, the recording `walked`."""
+    pair = pair_of(reference, walked, reference.observe(walked), number, 0)
+    slopes = {effect: pair.observed.jacobian(at.q, at.active)
+              for effect, at in [("", found.null), *((e, found.single[e]) for e in effects)]}
+    chance, nats, least = _decides(found, effects, pair.observed, slopes, pair.prior)
+    return PlannedExperiment(REPEAT, float(walked.time_s[-1]), chance, chance, nats, least)
 
 
 def _decides(found: Searched, effects: Sequence[str], observed: Observed, slopes: dict[str, tuple[Array, Array]],

@@ -12,6 +12,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from estimation.likelihood_data import GRID_S, Recording
 from estimation.posterior import Gaussian, Observed
 from estimation.reference_fit import ReferenceFit
 from physics.laws import Array
+
+REPEAT: Final = "repeat"
+"""Name of the experiment that repeats the motion of a reference trial (`bowden trial --motion-of`)."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,12 @@ def paired(fit: ReferenceFit, references: Sequence[Recording], observed: Observe
     if not found:
         return None
     number, lag = found[0]
-    return Pair(_difference(fit, references[number], observed, number, lag), _prior(fit, number), number)
+    return pair_of(fit, references[number], observed, number, lag)
+
+
+def pair_of(fit: ReferenceFit, other: Recording, observed: Observed, number: int, lag: int) -> Pair:
+    """Return the pair of a trial and reference trial `number`, the recording `other`, `lag` samples behind it."""
+    return Pair(_difference(fit, other, observed, number, lag), _prior(fit, number), number)
 
 
 def _lag(trial: Recording, other: Recording, most_s: float = 2.0, identical: float = 0.01, covered: float = 0.8

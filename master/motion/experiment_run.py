@@ -20,6 +20,7 @@ from master.control import controller
 from master.control.controller import Conditions, Controller, ControllerInput
 from master.control.effect_correction import Effects, calibrated, correction
 from master.control.gait_table import GaitTable, samples_of, tabulate
+from master.control.repeated import RecordedTargets, Repeated
 from master.control.stability import derated
 from master.cycle import drives
 from master.cycle.exchange import Exchange
@@ -46,6 +47,7 @@ class ExperimentSetup:
 
     `motion`, if given, is the knee's true motion: the controller still expects `reference`. `known`: effects beyond
     the calibration that the controller compensates, name → values; `terms`: modulated constants beyond it.
+    `targets`: of the recorded trial whose motion is repeated in place of the controller's.
     """
 
     reference: Reference
@@ -60,6 +62,7 @@ class ExperimentSetup:
     known: Effects = field(default_factory=dict)
     terms: tuple[Term, ...] = ()
     record: settings.Record = field(default_factory=settings.Record)
+    targets: RecordedTargets | None = None
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,10 @@ class Planned:
         self.undone = {id(table): correction(
             calibration, table, rest, experiment.terms, adapts=self.kind.uses_homing_fit)
                        for table in (self.table, self.idle, *self.rising)}
+        steps = (1 + chosen.soft_start + chosen.cycles) * samples + self.rest - self.first
+        if experiment.targets is not None and len(experiment.targets.rope_m) != steps:
+            raise InputError(f"the motion to repeat has {len(experiment.targets.rope_m)} control cycles, its gait "
+                             f"{steps}; give a trial that was completed.")
         self.homed: Homed | None = None
         self.impedance, slowed = derated(
             calibration, experiment.impedance, 1.0 / rate_hz, experiment.reference.peak_n)
@@ -186,11 +193,18 @@ class Planned:
             raise InputError(f"controller {name}: {gait.raised(error)} when it was tried before the trial; "
                              "mend it.") from error
 
+    @property
+    def begin(self) -> int:
+        """First sample of the trial: the run-in, and before it the soft start."""
+        return self.first - (1 + len(self.rising)) * self.table.samples
+
     def control(self, table: GaitTable) -> Controller[Any]:
         """The chosen controller over a gait table, on the day that homing found."""
         day = self.homed.day if self.homed else HomingFit()
-        return controller.with_effects(
+        made = controller.with_effects(
             self.kind, self.calibration, table, Conditions(self.impedance, day, self.own), self.undone[id(table)])
+        targets = self.experiment.targets
+        return made if targets is None else Repeated(made, targets, self.begin)
 
     def perform(self, exchange: Exchange) -> None:
         """Enable, home and walk; with `dry_run` only the walk, on drives that are off."""
@@ -233,7 +247,7 @@ class Planned:
         """
         samples = self.table.samples
         last = self.experiment.gait.cycles * samples
-        begin = self.first - (1 + len(self.rising)) * samples
+        begin = self.begin
 
         def number(sample: int) -> float:
             return float(before + sample // samples) if sample >= 0 else -1.0

@@ -50,11 +50,11 @@ def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logb
         else:
             assert logbook is not None
             found = experiment_plan.of_logbook(logbook)
-    terminal.emit(found.as_json()) if json else _tell(found)
+    terminal.emit(found.as_json()) if json else _tell(found, str(healthy[-1]) if healthy else "a reference trial")
     return 0
 
 
-def _tell(found: ExperimentPlan) -> None:
+def _tell(found: ExperimentPlan, good: str) -> None:
     if len(found.among) < 2:
         print(f"Verdict: {found.verdict}. There is nothing to decide between.")
         return
@@ -70,6 +70,10 @@ def _tell(found: ExperimentPlan) -> None:
         print("None of them is likely to decide.")
         for name, words in found.by_hand.items():
             print(f"By hand: {name}: {words}.")
+        return
+    if proposed.name == "repeat":
+        print(f"Run: bowden trial --motion-of {good} -o repeat.mcap, then diagnose it alone, with the same "
+              "--healthy.")
         return
     if proposed.sure < proposed.with_reference:
         print(f"First, with nothing wrong: bowden trial --experiment {proposed.name} -o {proposed.name}_good.mcap; "

@@ -32,6 +32,7 @@ def trial(
     calibration: options.Calibration = None,
     controller_model: options.ControllerModel = None,
     experiment: options.Script = None,
+    motion_of: options.MotionOf = None,
     dry_run: options.DryRun = False,
     homing_n: options.HomingForce = None,
     *,
@@ -58,29 +59,35 @@ def trial(
     from bowden import output_files
     from bowden.bench import configuration, light_can
     from bowden.cli import ending
-    from bowden.trials import provenance, session, setup_checks
+    from bowden.trials import provenance, repeated_motion, session, setup_checks
 
     light_can.load()
     output_files.refuse_ending(output, ".mcap", what="a trial")
     output_files.refuse_picture(picture)
-    inputs = [knee, desired, calibration, controller_model, config, simulated.plant_model]
-    output_files.refuse([output, picture], overwrite=overwrite, inputs=inputs)
+    own = {"--knee": knee, "--desired": desired, "--calibration": calibration, "--controller-model": controller_model}
+    output_files.refuse([output, picture], overwrite=overwrite, inputs=[
+        *own.values(), config, simulated.plant_model, motion_of])
+    repeated_motion.refuse_beside(motion_of, experiment, {
+        **own, **walk.given(), "--dry-run": dry_run or None, "--homing-n": homing_n})
     sections = reached.sections(config, rate)
     sections["network"] = configuration.with_monitor(sections["network"], monitor)
     setup_checks.refuse_unchecked(sections, calibration)
     sections["homing"] = configuration.homing(sections["homing"], homing_n)
     entered = session.entered(sections, logbook, config)
     bench = watched.bench(entered, sections["network"])
-    reference, sections["gait"], notes = session.reference(
-        walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
-        peak_given=walk.peak is not None)
     chosen = reached.chosen(simulated)
-    prepared = session.prepare(sections, reference, calibration, chosen, dry_run=dry_run, script=experiment,
-                               controller_model=controller_model,
-                               files={**provenance.curves(knee=knee, desired=desired),
-                                      **setup_checks.attached(calibration)})
-    for note in notes:
-        terminal.remark(note)
+    if motion_of is not None:
+        prepared = repeated_motion.prepared(motion_of, sections, chosen)
+    else:
+        reference, sections["gait"], notes = session.reference(
+            walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
+            peak_given=walk.peak is not None)
+        prepared = session.prepare(sections, reference, calibration, chosen, dry_run=dry_run, script=experiment,
+                                   controller_model=controller_model,
+                                   files={**provenance.curves(knee=knee, desired=desired),
+                                          **setup_checks.attached(calibration)})
+        for note in notes:
+            terminal.remark(note)
     with _watch(bench, output, chosen, json) as watch, _page(web, output.name, sections["network"]) as page:
         if watch is not None and page is not None:
             watch.show = page.suspected

@@ -1,0 +1,104 @@
+"""The motion of a recorded trial, to be repeated: its gait, settings and calibration, and the targets that it sent.
+
+The diagnosis compares a trial with a reference trial of the same motion directly, since what the model misses under
+one motion repeats under it.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from bowden.bench.buses import BusSettings
+    from bowden.trials.session import Prepared
+    from master.control.repeated import RecordedTargets
+    from trial.read import Trial
+
+ATTACHMENT = "targets.csv"
+NAME = "repeat"
+"""The experiment of the catalogue that repeats a motion."""
+COLUMNS = ("servo_target_m", "knee_target_rad")
+SETTINGS = ("gait", "impedance", "homing")
+"""Sections that a repeated motion takes from the recorded trial; network, limits and record are those of today."""
+
+
+def refuse_beside(given: Path | None, experiment: str | None, others: Mapping[str, Any]) -> None:
+    """Raise `InputError` for options that contradict a repeated motion, and for the experiment without its trial.
+
+    `others`: options that the recorded trial decides, by their spelling; None for those not given.
+    """
+    if given is None:
+        if experiment == NAME:
+            raise InputError(f"--experiment {NAME} repeats the motion of a trial; name it with --motion-of.")
+        return
+    beside = [name for name, value in others.items() if value is not None]
+    if experiment not in (None, NAME):
+        beside.append("--experiment")
+    if beside:
+        raise InputError(f"--motion-of repeats a trial as it was; leave {', '.join(beside)} out.")
+
+
+def prepared(given: Path, sections: Mapping[str, Any], chosen: BusSettings, allowed: str | None = None) -> Prepared:
+    """Return the experiment that repeats the motion of the trial `given` under today's `sections`.
+
+    `allowed`: the controller "module:Class" that may be imported because the trial names it.  Raises `InputError` for
+    a trial whose motion cannot be repeated.
+    """
+    from bowden.trials import provenance, recorded, session
+    from trial import read
+
+    trial = read.open(given)
+    if trial.metadata.get("dry_run") == "true" or (trial.result or {}).get("outcome") != "completed":
+        raise InputError(f"{given}: --motion-of needs a trial that moved the bench to its end.")
+    setup = recorded.experiment(trial, allowed=allowed)
+    rate_hz = sections["network"].rate_hz
+    if setup.network.rate_hz != rate_hz:
+        raise InputError(f"{given}: its targets are for {setup.network.rate_hz} Hz, the network runs {rate_hz}; say "
+                         f"--rate {setup.network.rate_hz}.")
+    sent = sent_targets(trial)
+    kept = (provenance.CONTROLLER_MODEL, *(f"{part}.csv" for part in recorded.CURVES))
+    files = {name: trial.attachments[name] for name in kept if name in trial.attachments}
+    made = session.prepare({**sections, **{name: getattr(setup, name) for name in SETTINGS}}, setup.reference, None,
+                           chosen, dry_run=False, files={**files, ATTACHMENT: text(sent)})
+    experiment = dataclasses.replace(
+        made.experiment, calibration=setup.calibration, known=setup.known, terms=setup.terms, targets=sent)
+    return dataclasses.replace(made, experiment=experiment)
+
+
+def sent_targets(trial: Trial) -> RecordedTargets:
+    """Return the targets of a trial's gait, run-in and run-out, by control cycle; raises `InputError` without them."""
+    from master.control.repeated import RecordedTargets
+
+    walked = np.isfinite(trial.columns["gait_percent"])
+    rope, knee = (trial.columns[name][walked] for name in COLUMNS)
+    if not np.isfinite(rope).all() or not np.isfinite(knee).all():
+        raise InputError(f"{trial.path}: has control cycles without targets; its motion cannot be repeated.")
+    return RecordedTargets(tuple(rope.tolist()), tuple(knee.tolist()))
+
+
+def text(targets: RecordedTargets) -> bytes:
+    """Return targets as the attachment of a trial that repeats them."""
+    out = io.StringIO()
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(COLUMNS)
+    rows.writerows(zip(map(repr, targets.rope_m), map(repr, targets.knee_rad), strict=True))
+    return out.getvalue().encode()
+
+
+def targets_of(attachments: Mapping[str, bytes]) -> RecordedTargets | None:
+    """Return the targets that a trial repeated; None where its controller's own were sent."""
+    from master.control.repeated import RecordedTargets
+
+    if ATTACHMENT not in attachments:
+        return None
+    rope, knee = np.loadtxt(io.BytesIO(attachments[ATTACHMENT]), delimiter=",", skiprows=1, unpack=True, ndmin=2)
+    return RecordedTargets(tuple(rope.tolist()), tuple(knee.tolist()))
