@@ -56,8 +56,8 @@ def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = 
         model = folder / provenance.CONTROLLER_MODEL
         made = ExperimentSetup(
             reference=reference, calibration=read(folder / "calibration.toml"),
-            **session.beyond(model if model.exists() else None), targets=repeated_motion.targets_of(recorded.attachments),
-            dry_run=recorded.metadata.get("dry_run") == "true", **chosen)
+            **session.beyond(model if model.exists() else None), dry_run=recorded.metadata.get("dry_run") == "true",
+            targets=repeated_motion.targets_of(recorded.attachments), **chosen)
     if recorded.metadata.get("course", provenance.course(made)) != provenance.course(made):
         raise InputError(f"{recorded.path}: the motion or force it was run with is not in the file; "
                          "give a trial of bowden trial.")

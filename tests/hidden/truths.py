@@ -55,8 +55,7 @@ class Question:
 class Drawn:
     """Columns of one case: two reference trials, one of the trial's own motion, and the trial.
 
-    `separation`: χ² of the oracle.  `clean`: START and END of the effect alone, N, shape (2, samples).  `adapted_n`:
-    RMS of what remains of it after the session's constants are adapted.
+    `separation`: χ² of the oracle.  `clean`: START and END of the effect alone, N, shape (2, samples).
     """
 
     references: tuple[dict[str, Array], ...]
@@ -64,11 +63,12 @@ class Drawn:
     trial: dict[str, Array]
     separation: float
     clean: Array
-    adapted_n: float
 
-    def gain_percent(self, error_n: float) -> float:
-        """Return the gain of the effect itself, %, beside a model that has it and misses the trial by `error_n`, N."""
-        return 100.0 * (1.0 - error_n / float(np.hypot(error_n, self.adapted_n)))
+    @property
+    def without(self) -> dict[str, Array]:
+        """The trial less the effect's own response: what an exact model of the effect leaves."""
+        return {**self.trial, **{name: self.trial[name] - clean for name, clean in zip(
+            ("tension_start_n", "tension_end_n"), self.clean, strict=True)}}
 
 
 @functools.cache
@@ -139,8 +139,7 @@ def _second(asked: Question) -> Drawn:
     steps = [_difference(made(["null"], seed, 0.0, {**bench, name: bench[name] * (1.0 + sd)}), base)
              for name, sd in (("mu1", 0.03), ("mu2", 0.05), ("kf0", 0.03))]
     steps.append(_difference(made(["null"], seed, 0.0, bench, 0.2), base))
-    separation, adapted_n = _separation(clean, steps, base, noise[0])
-    return Drawn(references, same, trial, separation, clean, adapted_n)
+    return Drawn(references, same, trial, _separation(clean, steps, base, noise[0]), clean)
 
 
 def _first(asked: Question) -> Drawn:
@@ -169,8 +168,7 @@ def _first(asked: Question) -> Drawn:
     clean = _difference(made(asked.hidden, seed), base) if asked.effects else still
     steps = [_difference(made(["null"], seed, {**nominal, name: value}), base) for name, value in (
         ("mu1", 1.03 * nominal["mu1"]), ("mu2", 1.05 * nominal["mu2"]), ("kf0", 1.03 * nominal["kf0"]), ("x0", 0.2))]
-    separation, adapted_n = _separation(clean, steps, base, 0.2)
-    return Drawn(references, same, trial, separation, clean, adapted_n)
+    return Drawn(references, same, trial, _separation(clean, steps, base, 0.2), clean)
 
 
 def _with(module: ModuleType, name: str, other: Any, run: Callable[[], dict[str, Array]]) -> dict[str, Array]:
@@ -191,9 +189,8 @@ def _difference(first: Mapping[str, Array], second: Mapping[str, Array]) -> Arra
     return np.asarray(_tensions(first) - _tensions(second))
 
 
-def _separation(clean: Array, steps: Sequence[Array], base: Mapping[str, Array], noise_n: float
-                ) -> tuple[float, float]:
-    """Return χ² of `clean` in white noise, and what remains of it, RMS, N, with the session's constants adapted.
+def _separation(clean: Array, steps: Sequence[Array], base: Mapping[str, Array], noise_n: float) -> float:
+    """Return χ² of `clean` in white noise, with the session's constants adapted.
 
     Gains and offsets of like benches are adapted, too.  `steps`: change of the tensions by 1σ of each constant between
     sessions.
@@ -206,5 +203,4 @@ def _separation(clean: Array, steps: Sequence[Array], base: Mapping[str, Array],
     effect = clean.ravel() / noise_n
     along = spread.T @ effect
     moved = np.linalg.solve(np.eye(along.size) + spread.T @ spread, along)
-    return float(effect @ effect - along @ moved), noise_n * float(np.sqrt(np.mean((effect - spread @ moved) ** 2)))
-
+    return float(effect @ effect - along @ moved)

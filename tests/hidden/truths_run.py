@@ -25,11 +25,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from bowden.trials import provenance
+from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.evidence.held_out import blocks_of, held_out
+from diagnosis.evidence.identical_motion import paired
 from diagnosis.finder import Finder
 from diagnosis.findings import Findings
-from estimation.data.table import table
+from estimation.data.table import Table, table
+from estimation.posterior import mode
 from tests.hidden import truths
 from tests.hidden.truths import Drawn, Question
 
@@ -38,7 +43,9 @@ OUT = Path("out")
 
 @dataclass(frozen=True)
 class Answer:
-    """Verdict on one case.  `gains`: of what is named over the adapted session, %, and the effect's own; empty without.
+    """Verdict on one case.
+
+    `gains`: of what is named over the adapted session, %, as said and by the oracle (`own_gain`); empty without a name.
     """
 
     structure: str
@@ -74,16 +81,14 @@ class Answer:
 def stored(asked: Question, folder: Path = OUT / "truths") -> Drawn:
     """Return the trials of a case, drawn once and stored under `folder`."""
     path = folder / f"{asked.structure}-{'+'.join(asked.hidden)}-{asked.seed}.npz"
-    if not path.is_file() or "adapted_n" not in np.load(path).files:
+    if not path.is_file():
         made = truths.draw(asked)
         folder.mkdir(parents=True, exist_ok=True)
         sets = [*made.references, made.same_motion, made.trial]
-        np.savez(path, separation=made.separation, clean=made.clean, adapted_n=made.adapted_n,
-                 **{f"{k}.{name}": values for k, columns in enumerate(sets) for name, values in columns.items()})
+        np.savez(path, separation=made.separation, clean=made.clean, **{f"{k}.{name}": values for k, columns in enumerate(sets) for name, values in columns.items()})
     with np.load(path) as held:
         sets = [{name.split(".")[1]: held[name] for name in held.files if name.startswith(f"{k}.")} for k in range(4)]
-        return Drawn(tuple(sets[:2]), sets[2], sets[3], float(held["separation"]), held["clean"],
-                     float(held["adapted_n"]))
+        return Drawn(tuple(sets[:2]), sets[2], sets[3], float(held["separation"]), held["clean"])
 
 
 def answer(asked: Question, motion: bool = False) -> Answer:
@@ -99,15 +104,37 @@ def answer(asked: Question, motion: bool = False) -> Answer:
                   tuple(cause["effect"] for cause in found.causes), tuple(found.rivals), found.part,
                   {k: round(v, 1) for k, v in list(evidence.get("log_bayes_factors", {}).items())[:5]},
                   {"misfit": evidence.get("misfit"), "warnings": found.warnings, "simulation": found.simulation},
-                  round(seconds, 1), _gains(found, made))
+                  round(seconds, 1), _gains(found, healthy, made))
 
 
-def _gains(found: Findings, made: Drawn) -> tuple[float, ...]:
-    """Return the gain of what is named, and the effect's own beside the same error, %; empty without a name."""
+def _gains(found: Findings, healthy: Sequence[Table], made: Drawn) -> tuple[float, ...]:
+    """Return the gain of what is named, as said and the effect's own, %; empty without a name."""
     told = found.simulation
     if not found.causes or told is None:
         return ()
-    return round(told["gain_percent"], 1), round(made.gain_percent(told["after_rms_n"]), 1)
+    return round(told["gain_percent"], 1), round(own_gain(healthy, made), 1)
+
+
+def own_gain(healthy: Sequence[Table], made: Drawn) -> float:
+    """Return the gain of an exact model of what is hidden over the adapted session, %, on the cycles of a diagnosis.
+
+    The rig itself applies the effect: its clean response is subtracted from the trial, and the session is adapted to
+    what is left as it is to the trial.
+    """
+    errors = []
+    with threadpool_limits(1, user_api="blas"):
+        finder = EvidenceFinder(healthy)
+        for columns in (made.trial, made.without):
+            given = table("trial", columns)
+            fit, observed = finder.observed([given])
+            pair = paired(fit, [finder.model.record(t) for t in healthy], observed)
+            prior = fit.prior_of(observed)
+            if pair is not None:
+                observed, prior = pair.observed, pair.prior
+            null = mode(observed, prior, start=None if pair is not None else fit.starts()[0])
+            told = held_out(observed, prior, fit, [], (null, null), blocks_of([given], observed.trials))
+            errors.append(told.rms_n("session"))
+    return 100.0 * (1.0 - errors[1] / errors[0])
 
 
 def digest(asked: Sequence[Question]) -> str:

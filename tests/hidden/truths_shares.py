@@ -57,9 +57,7 @@ def share(asked: Question) -> Share:
 
 def clean_data(made: Drawn) -> Array:
     """Return the data of the likelihood that correspond to the rig's clean response, shape (data,)."""
-    without = {**made.trial, **{name: made.trial[name] - clean for name, clean in zip(
-        ("tension_start_n", "tension_end_n"), made.clean, strict=True)}}
-    whole, rest = (PATH_MODEL.record(table("trial", columns)) for columns in (made.trial, without))
+    whole, rest = (PATH_MODEL.record(table("trial", columns)) for columns in (made.trial, made.without))
     # the ratio END/START of the trial weighs both, so that the difference is linear in the signals
     signals = {name: whole.measured(name) - rest.measured(name) for name in whole.outputs}
     return np.concatenate([whole.binned(whole.weighed(signals, name)) for name in whole.outputs])
