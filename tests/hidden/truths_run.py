@@ -85,7 +85,8 @@ def stored(asked: Question, folder: Path = OUT / "truths") -> Drawn:
         made = truths.draw(asked)
         folder.mkdir(parents=True, exist_ok=True)
         sets = [*made.references, made.same_motion, made.trial]
-        np.savez(path, separation=made.separation, clean=made.clean, **{f"{k}.{name}": values for k, columns in enumerate(sets) for name, values in columns.items()})
+        columns = {f"{k}.{name}": values for k, part in enumerate(sets) for name, values in part.items()}
+        np.savez(path, separation=made.separation, clean=made.clean, **columns)
     with np.load(path) as held:
         sets = [{name.split(".")[1]: held[name] for name in held.files if name.startswith(f"{k}.")} for k in range(4)]
         return Drawn(tuple(sets[:2]), sets[2], sets[3], float(held["separation"]), held["clean"])
