@@ -1,4 +1,4 @@
-# make trial | test | test-all | check | bench | docs | figures | reproduce | hidden | faults | healthy | fuzz | soak
+# make trial | test | test-all | check | bench | docs | reproduce | hidden | faults | healthy | fuzz | soak
 # Each sets up .venv first; nothing else is needed than Python 3.11+ and make.
 PYTHON ?= python3
 VENV := .venv
@@ -7,7 +7,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 # Bytecode is written whatever the environment says: the workers and the programs that tests start share it.
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
-.PHONY: trial test test-all check bench docs figures reproduce hidden faults healthy fuzz soak clean
+.PHONY: trial test test-all check bench docs reproduce hidden faults healthy fuzz soak clean
 
 trial: $(VENV)/.installed
 	@mkdir -p out
@@ -33,9 +33,6 @@ docs: $(VENV)/.installed-test
 bench: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.performance
 
-figures: $(VENV)/.installed-test
-	$(BIN)/python -m benchmarks.figures
-
 reproduce: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.reproduce
 	$(BIN)/python -m benchmarks.family
@@ -58,7 +55,7 @@ fuzz: $(VENV)/.installed-test
 	$(BIN)/python -m tests.fuzz.run
 
 soak: $(VENV)/.installed-test
-	$(BIN)/python -m benchmarks.soak
+	$(BIN)/python -m tests.fuzz.soak
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed; say make PYTHON=python3.x"; exit 2; }

@@ -9,7 +9,7 @@ import csv
 import sys
 from pathlib import Path
 
-from benchmarks import marked
+from benchmarks.frame import put
 from master.cycle.safety import Reaction
 from master.motion.checks import CHECKS
 
@@ -34,4 +34,4 @@ def table() -> str:
 if __name__ == "__main__":
     print(table())
     if "--page" in sys.argv:
-        marked.put(DOCS / "safety.md", "checks", table())
+        put(DOCS / "safety.md", "checks", table())

@@ -1,7 +1,4 @@
-"""One whole simulated control cycle beside a stock canopen cycle, paired.
-
-    python -m benchmarks.cycle                  # the ratio, with quartiles
-    python -m benchmarks.cycle --profile        # where the time of our own cycle goes
+"""One whole simulated control cycle, and a stock canopen cycle beside it: two works of `benchmarks.performance`.
 
 Ours: `bowden trial` as it runs: controller, safety, exchange, recorder, the wire with its exact bits, four devices,
 plant at 10 µs, the truth file.  The peer: canopen as its manual says, one Network for the master and one for each of
@@ -12,14 +9,9 @@ without its threads.
 
 from __future__ import annotations
 
-import argparse
-import cProfile
-import pstats
 import tempfile
 import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +19,7 @@ from typing import Any
 import can
 import canopen
 
-from benchmarks.paired import Compared, DoneError, Turn, compare
+from benchmarks.frame import Turn, repeated
 from eds.bench.bench_network import DRIVES, FILES, Network, wire
 from eds.bench.setup import RPDO, Pdo
 from eds.cia301 import SYNC_COB_ID
@@ -39,7 +31,7 @@ from physics.reference import paper_reference
 from trial.record import Recorder
 from virtual_bus.bus import BowdenBus
 
-UNITS, TURNS = 200, 60
+UNITS = 200
 PEAK_N, PERIOD_S = 40.0, 2.0
 SKIP = 4000
 """Cycles before the first turn: bring-up, homing, approach."""
@@ -83,20 +75,13 @@ def ours(turn: Turn, **options: Any) -> None:
 def stock(turn: Turn) -> None:
     """canopen as its manual says: SYNC, four TPDOs, one frame of targets, a notifier's thread for each network."""
     with Stock() as peer:
-        _turns(turn, peer.cycle)
+        repeated(turn, peer.cycle, UNITS)
 
 
 def pumped(turn: Turn) -> None:
     """The same frames with two networks, pumped by hand."""
     with Stock(threads=False) as peer:
-        _turns(turn, peer.cycle)
-
-
-def _turns(turn: Turn, cycle: Callable[[], None]) -> None:
-    while True:
-        turn()
-        for _ in range(UNITS):
-            cycle()
+        repeated(turn, peer.cycle, UNITS)
 
 
 class Stock:
@@ -178,43 +163,3 @@ def map_pdo(pdo: Any, planned: Pdo) -> None:
         pdo.add_variable(word >> 16, word >> 8 & 0xFF, word & 0xFF)
     pdo.cob_id, pdo.enabled = planned.cob_id, True
     pdo.subscribe()
-
-
-def measured(turns: int = TURNS) -> Iterator[tuple[str, Compared]]:
-    """Return the comparisons, each with its peer's name."""
-    for name, peer in (("stock canopen, µs", stock), ("canopen pumped by hand, µs", pumped)):
-        yield name, compare(ours, peer, units=UNITS, turns=turns)
-
-
-def profiled(turns: int = 10) -> pstats.Stats:
-    """Return the profile of our own cycle, set-up left out."""
-    profile, left = cProfile.Profile(time.thread_time), turns
-
-    def turn() -> None:
-        nonlocal left
-        profile.enable()
-        left -= 1
-        if left < 0:
-            profile.disable()
-            raise DoneError
-
-    with suppress(DoneError):
-        ours(turn)
-    return pstats.Stats(profile)
-
-
-def main() -> None:
-    """Print the ratio, or the profile."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--turns", type=int, default=TURNS, help=f"turns of {UNITS} cycles")
-    parser.add_argument("--profile", action="store_true")
-    chosen = parser.parse_args()
-    if chosen.profile:
-        profiled().sort_stats("tottime").print_stats(45)
-        return
-    for name, compared in measured(chosen.turns):
-        print(*compared.row("whole simulated cycle, µs", name), sep="   ")
-
-
-if __name__ == "__main__":
-    main()

@@ -21,7 +21,7 @@ from pathlib import Path
 from statistics import median
 from typing import Final, NamedTuple
 
-from benchmarks import marked
+from benchmarks.frame import put
 from bowden.trials import provenance
 from diagnosis.finder import Finder
 from estimation.data import table
@@ -145,7 +145,7 @@ def main(arguments: list[str]) -> None:
                       f"Where it goes ({SINGLE[0]}, ten cycles):", "", *profile()])
     print(text)
     if "--page" in arguments:
-        marked.put(PAGE, "cost", text)
+        put(PAGE, "cost", text)
 
 
 if __name__ == "__main__":

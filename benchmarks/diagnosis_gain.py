@@ -16,7 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from benchmarks import marked
+from benchmarks.frame import put
 from bowden.cli.app import run
 from bowden.trials import provenance
 
@@ -111,7 +111,7 @@ def main(arguments: list[str]) -> None:
             rows.append(row(folder, name, EFFECTS[name]))
             print(rows[-1], flush=True)
     if "--page" in arguments:
-        marked.put(PAGE, "gain", head + "\n".join(rows))
+        put(PAGE, "gain", head + "\n".join(rows))
 
 
 if __name__ == "__main__":

@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.family_page import page
-from benchmarks.family_walks import DEVELOPMENT, DOCS, OWN, SET_ASIDE, append, compact, measure, read
+from benchmarks.family_walks import DEVELOPMENT, OWN, SET_ASIDE, append, compact, measure, read
+from benchmarks.frame import DOCS
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

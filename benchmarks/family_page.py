@@ -11,16 +11,12 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from benchmarks.family_walks import COUNTERPARTS, DRIVE_N, IDLE_N, PERIODS_S, TRUE, WINDOW
+from benchmarks.frame import markdown
 
 LOADED = 0.2
 """Share of the gait cycle in which a force is desired."""
 AS_FAR = 2e-3
 """Relative difference of two estimates of END that noise alone makes."""
-
-
-def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown."""
-    return "\n".join([f"| {' | '.join(heads)} |", f"|{' --- |' * len(heads)}", *(f"| {' | '.join(r)} |" for r in rows)])
 
 
 def spread(values: Iterable[float | None], digits: int = 2) -> str:
@@ -73,36 +69,13 @@ def page(benches: Sequence[Mapping[str, Any]]) -> str:
              "serial % 3 = 2 are set aside: nothing was chosen by them.\n",
              "## Targets\n", _judged(groups)]
     if family:
-        parts += ["\n## What is not met, and by which walks\n", _missed(groups["family"]),
-                  "\n## By structure, both periods, within reach\n", _by_structure(family)]
-    parts += ["\n## With what identification told of END\n", _again(benches)]
+        parts += ["\n## What is not met, and by which walks\n", _missed(groups["family"])]
     for name, chosen in groups.items():
         if chosen and name != "family":
             parts += [f"\n## {name.capitalize()}: {len(chosen)} benches\n", _group(chosen)]
     if family:
         parts += ["\n## Identification: constants within their own 95 % interval\n", _coverage(family)]
     return "\n".join(parts) + "\n"
-
-
-def _again(benches: Sequence[Mapping[str, Any]]) -> str:
-    """Return the walks by a calibration with a discrepancy beside those by the same calibration without one."""
-    rows = []
-    for bench in (b for b in benches if b.get("discrepancy")):
-        for period in PERIODS_S:
-            for walk in walks([bench], period):
-                if walk.get("before", {}).get("by_cycle"):
-                    pair = [{**walk, **walk["before"]}, walk]
-                    rows.append([f"{bench['kind']} {bench['serial']}", f"{period:g}", *(
-                        " → ".join(f"{figure(each):.2f}" for each in pair)
-                        for figure in (lambda w: float(w[TRUE]), loaded, jump, _rise))])
-    again = sum(bool(b.get("discrepancy")) for b in benches)
-    text = (f"{again} of {len(benches)} benches were walked again by a calibration with a discrepancy "
-            "([decision 36](decisions/0036-a-calibration-has-a-discrepancy.md)): scalars as identified before, gait "
-            "trials by `identify gait`, which has two pulls in place of 15 ramps to measure END's lag"
-            f"{'' if again == len(benches) else '; rows of other benches are by calibrations without one'}. Walks "
-            "without one are of the commit that identified the bench. Without → with:")
-    heads = ("bench", "period (s)", "RMSE (%)", "loaded part (%)", "jump (% of peak)", "RMSE above cycle 0's (points)")
-    return f"{text}\n\n{table(heads, rows)}"
 
 
 def within(benches: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -122,7 +95,7 @@ def _group(chosen: Sequence[Mapping[str, Any]]) -> str:
             spread(w["true_max_idle_tension_n"] for w in all_), spread(w["loose"] for w in all_),
             spread(map(jump, all_)), spread(map(_rise, all_)),
             f"{sum(_no_farther(w) for w in all_)} of {len(all_)}"])
-    text = table(("period", "walks", "RMSE (%)", "loaded part (%)", "paper, loaded part (%)",
+    text = markdown(("period", "walks", "RMSE (%)", "loaded part (%)", "paper, loaded part (%)",
                   "START ignored, loaded part (%)", "END at idle (N)", "of a loose rope (N)", "jump (% of peak)",
                   "RMSE above cycle 0's (points)", "friction no farther from truth than homing's"), rows)
     for bench in beyond:
@@ -194,9 +167,9 @@ MODEL = ("The lumped model's friction and stretch are not the bench's: after lea
 REVERSAL = (
     "Friction turns over at the peak. Play crosses with it, and breakaway follows the reversal where the rope is slow: "
     "START tells least of END just there, and neither feedback nor evidence hears it. On serial 34 START comes within "
-    "1 % of the servo's 88 N: the drive's tension bound slows the rope before the peak, and true END in the loop makes "
-    "no smaller jump ([end_in_loop.md](end_in_loop.md)). The play of serial 40's knee is estimated as none. Homing "
-    "scales the friction of sheath and fabric alike, and a session changes each by its own factor.")
+    "1 % of the servo's 88 N: the drive's tension bound slows the rope before the peak. The play of serial 40's knee "
+    "is estimated as none. Homing scales the friction of sheath and fabric alike, and a session changes each by its "
+    "own factor.")
 TARGETS = (
     Target("median RMSE at 2.0 s (%)", 0.22, lambda all_: _middle(w[TRUE] for w in all_), None, _at(2.0)),
     Target("median RMSE at 1.1 s (%)", 0.32, lambda all_: _middle(w[TRUE] for w in all_), None, _at(1.1)),
@@ -240,7 +213,7 @@ def _judged(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     rows.append(["walks that were stopped", "0", "met" if not stopped["family"] else "**not met**",
                  *map(str, stopped.values())])
     heads = ("target", "at most", "on the family", *(f"{name}: {len(all_)} walks" for name, all_ in told.items()))
-    return table(heads, rows)
+    return markdown(heads, rows)
 
 
 def _missed(family: Sequence[Mapping[str, Any]]) -> str:
@@ -256,56 +229,13 @@ def _missed(family: Sequence[Mapping[str, Any]]) -> str:
             for w in breaking), target.why or "–"])
     if not rows:
         return "Every bound that a single walk can break is kept."
-    return table(("target", "walks", "which", "cause"), rows)
+    return markdown(("target", "walks", "which", "cause"), rows)
 
 
-def _by_structure(family: Sequence[Mapping[str, Any]]) -> str:
-    kinds: dict[str, list[dict[str, Any]]] = {}
-    for bench in family:
-        if "failed" in bench or not reached(bench):
-            continue
-        for word in _words(bench):
-            kinds.setdefault(word, []).extend(walks([bench], 2.0) + walks([bench], 1.1))
-    text = table(("structure", "walks", "RMSE (%)", "loaded part (%)", "idle (N)", "jump (% of peak)",
-                  "END as START tells it, sliding, is off by (%)"), [
-        [word, str(len(w)), spread(x[TRUE] for x in w), spread(map(loaded, w)),
-         spread(x["true_max_idle_tension_n"] for x in w), spread(map(jump, w)), spread(map(_off, w))]
-        for word, w in sorted(kinds.items())])
-    worst = max(kinds, key=lambda word: _mean(map(loaded, kinds[word])), default=None)
-    if worst is None:
-        return text
-    all_ = walks(within(family), 2.0) + walks(within(family), 1.1)
-    others = [w for w in all_ if worst not in _words(w["bench"])]
-    return text + (
-        f"\n\nWorst is {worst}: the loaded part is {_mean(map(loaded, kinds[worst])):.2f} % in the mean, and "
-        f"{_mean(map(loaded, others)):.2f} % on benches without it. {WHY} There that is off by "
-        f"{_mean(map(_off, kinds[worst])):.1f} % in the mean, elsewhere by {_mean(map(_off, others)):.1f} %.")
-
-
-def _words(bench: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the names of a bench's structures: friction, stretch, breakaway, knee."""
-    method, stretch, breakaway, knee = str(bench["structure"]).split(", ")
-    return method, f"stretch {stretch}", breakaway, knee
-
-
-def _mean(values: Iterable[float]) -> float:
-    known = [v for v in values if math.isfinite(v)]
-    return sum(known) / len(known) if known else math.nan
-
-
-WHY = ("Learning goes to where START, its friction undone, says that END is as desired: what the lumped model lacks of "
-       "a bench stays in END.")
-"""Why a structure is worst."""
 PRODUCTS = ("The fabric's exponents are products of two scalars whose errors are taken as if they had nothing to do "
             "with each other, which makes them wide. What breakaway remembers is told to about 10 ms, where there is "
             "no breakaway not at all: its interval is then as wide as what was assumed of it.")
 """Note under the table of intervals."""
-
-
-def _off(walk: Mapping[str, Any]) -> float:
-    """Return the error of END estimated from START while both slide, after learning, %; NaN without sliding."""
-    away = walk["followed_away"]
-    return math.nan if away is None else 100.0 * float(away)
 
 
 def _coverage(family: Sequence[Mapping[str, Any]]) -> str:
@@ -326,7 +256,8 @@ def _coverage(family: Sequence[Mapping[str, Any]]) -> str:
                      f"± {100.0 * median(wide):.1f} %" if wide else "–", met])
     squares = {name: [b["calibration"][name]["r_squared"] for b in identified]
                for name in ("stiffness_b", "swing_k")}
-    return table(("constant", "within", "median error", "median half of the interval", "90 % of the benches"), rows) + (
+    heads = ("constant", "within", "median error", "median half of the interval", "90 % of the benches")
+    return markdown(heads, rows) + (
         f"\n\n{PRODUCTS}\n\nR² as measured, median and least: (10) {median(squares['stiffness_b']):.3f} and "
         f"{min(squares['stiffness_b']):.3f}, (11) {median(squares['swing_k']):.4f} and {min(squares['swing_k']):.4f}.")
 

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from benchmarks.frame import ROOT
+
 if TYPE_CHECKING:
     from physics.calibration import Calibration
 
-ROOT = Path(__file__).resolve().parent.parent
-DOCS = ROOT / "docs"
 PEAKS_N = (40.0, 50.0, 60.0)
 PERIODS_S = (2.0, 1.1)
 CYCLES, SETTLE = 9, 7

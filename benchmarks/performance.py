@@ -3,7 +3,7 @@
     python -m benchmarks.performance                     # `make bench`: prints the table and writes it into the page
     python -m benchmarks.performance --rows cycle pdo    # these rows alone, printed
 
-Own work and its peer run in two processes that pass a token (`benchmarks.paired`): a busy machine strikes both.  Each
+Own work and its peer run in two processes that pass a token (`benchmarks.frame`): a busy machine strikes both.  Each
 row gives the medians of both in processor time and the ratio with its quartiles.  What has no peer to run beside is
 printed as it is.  Nothing here is a test: a machine's speed fails no build.
 """
@@ -21,19 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import cycle, performance_rows, performance_whole
-from benchmarks.marked import put
+from benchmarks import performance_rows, performance_whole
+from benchmarks.frame import DOCS, ROOT, Row, put, quartiles
 
-ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "performance.md"
+PAGE = DOCS / "performance.md"
 HEAD = ("what", "here", "peer", "peer's", "ratio (quartiles)")
-Row = tuple[str, str, str, str, str]
-
-
-def whole_cycle() -> Iterator[Row]:
-    """The whole simulated cycle."""
-    for name, compared in cycle.measured():
-        yield compared.row("one simulated control cycle, µs", name)
 
 
 def start() -> Iterator[Row]:
@@ -41,9 +33,8 @@ def start() -> Iterator[Row]:
     bare = "import typer; a = typer.Typer(); a.command('a')(lambda: None); a.command('b')(lambda: None); a()"
     commands = [str(Path(sys.executable).with_name("bowden")), "--help"], [sys.executable, "-c", bare, "--help"]
     own, peer = np.array([[_used(command) for command in commands] for _ in range(15)]).T
-    low, middle, high = np.quantile(peer / own, (0.25, 0.5, 0.75))
     yield ("`bowden --help`, s of CPU", f"{np.median(own):.2f}", "a bare Typer program of two commands",
-           f"{np.median(peer):.2f}", f"{middle:.2f} ({low:.2f} … {high:.2f})")
+           f"{np.median(peer):.2f}", quartiles(own, peer, 2))
     with tempfile.TemporaryDirectory() as folder:
         code = "from bowden.trials.session import compile_laws; compile_laws(simulated=True)"
         first, later = (_used([sys.executable, "-c", code], NUMBA_CACHE_DIR=folder) for _ in range(2))
@@ -57,24 +48,10 @@ def memory() -> Iterator[Row]:
     yield ("peak memory of a trial of 600 s, MB", f"{long:.0f}", "one of 60 s", f"{short:.0f}", f"{short / long:.2f}")
 
 
-def profile() -> str:
-    """Say where the time of one's own cycle goes, by room, from a profile in processor time."""
-    spent: dict[str, float] = {}
-    stats = cycle.profiled(20).stats  # type: ignore[attr-defined]
-    for (file, _, name), (_, _, own_s, _, _) in stats.items():
-        room = performance_rows.room_of(file, name)
-        spent[room] = spent.get(room, 0.0) + own_s
-    whole = sum(spent.values())
-    lines = ["| where | share of the cycle |", "|---|---|"]
-    lines += [f"| {room} | {100 * own_s / whole:.0f} % |" for room, own_s in
-              sorted(spent.items(), key=lambda item: -item[1]) if own_s > 0.01 * whole]
-    return "\n".join(lines)
-
-
 ROWS: dict[str, Callable[[], Iterator[Row]]] = {
-    "cycle": whole_cycle, "events": performance_rows.event_by_event, "nodes": performance_rows.by_nodes,
-    "pdo": performance_rows.pdos,
-    "load": performance_rows.wire_load, "record": performance_rows.record, "read": performance_rows.read,
+    "cycle": performance_rows.whole_cycle, "events": performance_rows.event_by_event,
+    "nodes": performance_rows.by_nodes, "pdo": performance_rows.pdos, "load": performance_rows.wire_load,
+    "record": performance_rows.record, "read": performance_rows.read,
     "size": performance_rows.size, "plant": performance_whole.plant, "diagnosis": performance_whole.diagnosis,
     "processes": performance_whole.processes, "start": start, "memory": memory,
 }
@@ -107,7 +84,6 @@ def main() -> None:
             print(lines[-1], flush=True)
     if chosen == list(ROWS):
         put(PAGE, "table", "\n".join(lines))
-        put(PAGE, "profile", profile())
 
 
 if __name__ == "__main__":

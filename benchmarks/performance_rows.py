@@ -15,6 +15,7 @@ from pathlib import Path
 
 import can
 import canopen
+import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
@@ -22,8 +23,7 @@ from mcap_ros2.decoder import DecoderFactory
 import nodes
 import trial
 from benchmarks import cycle
-from benchmarks import trial as recorded
-from benchmarks.paired import Turn, compare
+from benchmarks.frame import Row, Turn, compare, repeated
 from eds.bench import bus_load
 from eds.bench.bench_network import FILES, SERVO, Network, wire
 from eds.declaration import packaged as packaged_bench
@@ -35,21 +35,21 @@ from master.network.bringup import bring_up
 from master.network.link import WANTED, Link
 from master.settings import Gait
 from physics.reference import paper_reference
+from trial.mcap_file import cdr
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
 from virtual_bus.compiled.compiled_cycles import SWITCH
 from virtual_bus.wire.bit_counts import bits_of
 from virtual_bus.wire.bits import INTERMISSION_BITS
 
-Row = tuple[str, str, str, str, str]
-ROOT = Path(__file__).resolve().parents[1]
+FRAMES = 8
+Step = Callable[[int, list[float], list[bytes]], None]
 
 
-def turns(turn: Turn, unit: Callable[[], object], units: int) -> None:
-    while True:
-        turn()
-        for _ in range(units):
-            unit()
+def whole_cycle() -> Iterator[Row]:
+    """The whole simulated cycle beside stock canopen, and beside canopen without its threads."""
+    for name, peer in (("stock canopen, µs", cycle.stock), ("canopen pumped by hand, µs", cycle.pumped)):
+        yield compare("one simulated control cycle, µs", cycle.ours, name, peer, units=cycle.UNITS, turns=60)
 
 
 def event_by_event() -> Iterator[Row]:
@@ -58,8 +58,8 @@ def event_by_event() -> Iterator[Row]:
         os.environ[SWITCH] = "0"
         cycle.ours(turn)
 
-    yield compare(cycle.ours, slowly, units=cycle.UNITS, turns=30).row(
-        "one simulated control cycle, µs", "the same event by event, as with faults and plug-in plants")
+    yield compare("one simulated control cycle, µs", cycle.ours,
+                  "the same event by event, as with faults and plug-in plants", slowly, units=cycle.UNITS, turns=30)
 
 
 def pdos() -> Iterator[Row]:
@@ -100,9 +100,8 @@ def pdos() -> Iterator[Row]:
 
     for name, unit in (("decoded and encoded", own), ("the same frame by frame", own_singly),
                        ("decoded to SI and encoded from it, as in the cycle", own_si)):
-        works = [partial(turns, unit=each, units=500) for each in (unit, peer)]
-        compared = compare(works[0], works[1], units=500, turns=30)
-        yield compared.row(f"PDOs of a cycle: {name}, µs", "canopen `PdoVariable.raw`")
+        yield compare(f"PDOs of a cycle: {name}, µs", partial(repeated, unit=unit, units=500),
+                      "canopen `PdoVariable.raw`", partial(repeated, unit=peer, units=500), units=500, turns=30)
 
 
 def exchanged(name: str, turn: Turn) -> None:
@@ -127,13 +126,14 @@ def exchanged(name: str, turn: Turn) -> None:
             for plan, targets in frames:
                 link.send(plan.cob_id, plan.pack_si(*targets))
 
-        turns(turn, unit, 200)
+        repeated(turn, unit, 200)
 
 
 def by_nodes() -> Iterator[Row]:
     """The exchange of a cycle on a declared bench of four nodes, and on one of eight."""
-    yield compare(partial(exchanged, "bench"), partial(exchanged, "bench_two_legs"), units=200, turns=30).row(
-        "exchange of a cycle, 4 nodes (wire, devices, inputs, targets; no plant), µs", "the same with 8 nodes")
+    yield compare("exchange of a cycle, 4 nodes (wire, devices, inputs, targets; no plant), µs",
+                  partial(exchanged, "bench"), "the same with 8 nodes", partial(exchanged, "bench_two_legs"),
+                  units=200, turns=30)
 
 
 def wire_load() -> Iterator[Row]:
@@ -150,11 +150,63 @@ def wire_load() -> Iterator[Row]:
            f"{bound.load_percent:.1f}", f"{bound.load_percent / figures:.2f}")
 
 
+def content() -> tuple[list[list[float]], list[list[bytes]]]:
+    """Return rows and frames that compress as a bench's do: motions with sensor noise, statuswords, zeros."""
+    random = np.random.default_rng(1)
+    row = np.arange(1000)
+    table = np.zeros((len(trial.SIGNALS), 1000))
+    for column in range(13):
+        table[column] = np.round(np.sin(row / 150 + column) * 40 + random.normal(0, 0.02, 1000), 3)
+    counts = random.integers(0, 1 << 12, (1000, FRAMES))
+    frames = [[struct.pack("<HIH", 0x1237, 100_000 + count, 0) for count in line] for line in counts.tolist()]
+    return table.T.tolist(), frames
+
+
+def recorded(recorder: trial.Recorder) -> Step:
+    """Return what the master does in one cycle with the recorder."""
+    def step(time_ns: int, values: list[float], frames: list[bytes]) -> None:
+        for number, data in enumerate(frames):
+            recorder.frame(time_ns + number * 60_000, 0x181 + number, data)
+        recorder.cycle(time_ns, values)
+    return step
+
+
+def recorded_by_mcap(writer: Writer) -> Step:
+    """Return the same with mcap's own writer."""
+    names = [signal.name for signal in trial.SIGNALS]
+    frame_schema = writer.register_schema(cdr.FRAME_SCHEMA_NAME, "ros2msg", cdr.FRAME_SCHEMA.encode())
+    cycle_schema = writer.register_schema(cdr.CYCLE_SCHEMA_NAME, "ros2msg", cdr.cycle_schema(names).encode())
+    frame_channel = writer.register_channel(cdr.FRAMES, "cdr", frame_schema)
+    cycle_channel = writer.register_channel(cdr.CYCLE, "cdr", cycle_schema)
+    frame_struct, cycle_struct = struct.Struct("<IiII8sI3?B8s"), struct.Struct(f"<IiI{len(names)}d")
+
+    def step(time_ns: int, values: list[float], frames: list[bytes]) -> None:
+        for number, data in enumerate(frames):
+            stamp = time_ns + number * 60_000
+            seconds, rest = divmod(stamp, 1_000_000_000)
+            writer.add_message(frame_channel, stamp, frame_struct.pack(
+                cdr.LITTLE_ENDIAN, seconds, rest, 8, b"can0/rx", 0x181 + number, False, False, False, 8, data), stamp)
+        seconds, rest = divmod(time_ns, 1_000_000_000)
+        writer.add_message(cycle_channel, time_ns, cycle_struct.pack(cdr.LITTLE_ENDIAN, seconds, rest, *values),
+                           time_ns)
+    return step
+
+
+def written(path: Path, cycles: int) -> Path:
+    """Write a trial of `cycles` cycles."""
+    rows, frames = content()
+    recorder = trial.Recorder(path, metadata={}, attachments={}, threaded=False)
+    for at in range(cycles):
+        recorded(recorder)(at * 1_000_000, rows[at % 1000], frames[at % 1000])
+    recorder.close({})
+    return path
+
+
 def record() -> Iterator[Row]:
     """Record a cycle: eight frames and a row."""
-    rows, frames = recorded.content()
+    rows, frames = content()
 
-    def stepped(step: recorded.Step, turn: Turn) -> None:
+    def stepped(step: Step, turn: Turn) -> None:
         number = 0
 
         def unit() -> None:
@@ -162,27 +214,27 @@ def record() -> Iterator[Row]:
             step(number * 1_000_000, rows[number % 1000], frames[number % 1000])
             number += 1
 
-        turns(turn, unit, 500)
+        repeated(turn, unit, 500)
 
     def own(turn: Turn) -> None:
         with tempfile.TemporaryDirectory() as folder:
             recorder = trial.Recorder(Path(folder) / "a.mcap", metadata={}, attachments={}, threaded=False)
-            stepped(recorded.ours(recorder), turn)
+            stepped(recorded(recorder), turn)
 
     def peer(turn: Turn) -> None:
         with tempfile.TemporaryFile() as file:
             writer = Writer(file, chunk_size=1 << 20, compression=CompressionType.ZSTD)
             writer.start("ros2")
-            stepped(recorded.inline(writer), turn)
+            stepped(recorded_by_mcap(writer), turn)
 
-    yield compare(own, peer, units=500, turns=30).row(
-        "a cycle recorded, compressed and written, µs", "mcap's own writer, the same bytes")
+    yield compare("a cycle recorded, compressed and written, µs", own, "mcap's own writer, the same bytes", peer,
+                  units=500, turns=30)
 
 
 def read() -> Iterator[Row]:
     """Read a trial of 2000 cycles."""
     with tempfile.TemporaryDirectory() as name:
-        path = recorded.written(Path(name) / "read.mcap", 2000)
+        path = written(Path(name) / "read.mcap", 2000)
 
         def own() -> None:
             opened = trial.open(path)
@@ -193,8 +245,9 @@ def read() -> Iterator[Row]:
                 for _ in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
                     pass
 
-        yield compare(lambda turn: turns(turn, own, 1), lambda turn: turns(turn, peer, 1), units=18_000, turns=7).row(
-            "a message read from a trial, µs", "mcap's reader with the ROS 2 decoder")
+        yield compare("a message read from a trial, µs", partial(repeated, unit=own, units=1),
+                      "mcap's reader with the ROS 2 decoder", partial(repeated, unit=peer, units=1), units=18_000,
+                      turns=7)
 
 
 def size() -> Iterator[Row]:
@@ -239,19 +292,3 @@ def simulate(seconds: int, folder: Path | None = None) -> None:
         recorder.close({})
         tap.shutdown()
         bus.shutdown()
-
-
-ROOMS: dict[str, str] = {
-    "cycle_code": "compiled cycle: plant, drives, sensors, wire", "virtual_bus": "virtual bus, around it",
-    "nodes": "devices, event by event", "master/control": "controller", "master": "exchange, safety, link",
-    "trial": "recording", "zstandard": "recording", "eds": "PDO plans",
-}
-
-
-def room_of(file: str, name: str) -> str:
-    """Say where a function of a profile belongs."""
-    at = file.removeprefix(f"{ROOT}/")
-    for part, room in ROOMS.items():
-        if part in at or part in name:
-            return room
-    return "of Python itself, called by all of them" if file.startswith(("~", "<")) else "the rest"

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks import diagnosis_cost, performance_rows
-from benchmarks.paired import Turn, compare
+from benchmarks import diagnosis_cost
+from benchmarks.frame import Row, compare, quartiles, repeated
 from bowden.sweep import diagnose_each, row_trial, rows
 from bowden.sweep import run as sweep_run
 from physics.plant.bench_plant import create
@@ -24,7 +25,6 @@ from physics.plant.leg import KNEE_AT_FIT
 from tests.hidden.cases import Job
 from tests.physics.test_physics_plant_accuracy import KNEE_NM, SECONDS, SERVO_NM, Equations
 
-Row = tuple[str, str, str, str, str]
 SWEPT, DIAGNOSED, TURNS = 8, 6, 3
 """Trials of a sweep, of a diagnosis of many, and how often each is timed."""
 Crew = Callable[[int], AbstractContextManager[sweep_run.Workers]]
@@ -38,8 +38,9 @@ def plant() -> Iterator[Row]:
     equations = Equations(made)
 
     def solved(rtol: float) -> np.ndarray:
-        told = solve_ivp(equations, (0.0, SECONDS), equations.start, "LSODA", t_eval=times, rtol=rtol, atol=rtol * 1e-2)
-        return np.array(told.y[0])
+        solution = solve_ivp(equations, (0.0, SECONDS), equations.start, "LSODA", t_eval=times, rtol=rtol,
+                             atol=rtol * 1e-2)
+        return np.array(solution.y[0])
 
     def stepped() -> np.ndarray:
         made.reset(0)
@@ -49,14 +50,9 @@ def plant() -> Iterator[Row]:
     error = float(np.abs(stepped() - stepped()[0] - exact + exact[0]).max())
     rtol = next((each for each in (1e-3, 1e-4, 1e-5, 1e-6) if np.abs(solved(each) - exact).max() <= error), 1e-7)
 
-    def own(turn: Turn) -> None:
-        performance_rows.turns(turn, stepped, 4)
-
-    def peer(turn: Turn) -> None:
-        performance_rows.turns(turn, lambda: solved(rtol), 4)
-
-    yield compare(own, peer, units=4 * round(SECONDS * 1e3), turns=20).row(
-        "plant alone, a millisecond of it, µs", f"SciPy `solve_ivp`, LSODA, rtol {rtol:g}: both within {error:.0e} m")
+    yield compare("plant alone, a millisecond of it, µs", partial(repeated, unit=stepped, units=4),
+                  f"SciPy `solve_ivp`, LSODA, rtol {rtol:g}: both within {error:.0e} m",
+                  partial(repeated, unit=lambda: solved(rtol), units=4), units=4 * round(SECONDS * 1e3), turns=20)
 
 
 def diagnosis() -> Iterator[Row]:
@@ -109,10 +105,5 @@ def _in_parallel(crew: Crew, work: Callable[[sweep_run.Workers], None], name: st
                 began = time.perf_counter()
                 work(workers)
                 spent[place].append(time.perf_counter() - began)
-    return _told(name, spent)
-
-
-def _told(name: str, spent: Sequence[Sequence[float]]) -> Row:
-    own, peer = (np.array(each) for each in spent)
-    low, middle, high = np.quantile(peer / own, (0.25, 0.5, 0.75))
-    return (name, f"{np.median(own):.1f}", "on one", f"{np.median(peer):.1f}", f"{middle:.2f} ({low:.2f} … {high:.2f})")
+    own, peer = spent
+    return name, f"{np.median(own):.1f}", "on one", f"{np.median(peer):.1f}", quartiles(own, peer, 2)

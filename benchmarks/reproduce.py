@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks import results_page
+from benchmarks.frame import DOCS, OUT
 from bowden.bench import configuration
 from bowden.cli import terminal
 from bowden.sweep import rows as sweep_rows
@@ -30,8 +31,6 @@ from bowden.trials import provenance, session
 from master.control.controller import CONTROLLERS
 from virtual_bus.build import GROUPS
 
-ROOT = Path(__file__).resolve().parent.parent
-OUT, DOCS = ROOT / "out", ROOT / "docs"
 SERIALS, QUICK_SERIALS = range(1, 1 + results_page.BENCHES), range(1, 3)
 DEPARTING, SHARED = range(1, 9), range(1, 6)
 """Benches whose knee departs, and those that the shares of the error are taken of: fewer, for the time it takes."""

@@ -13,6 +13,7 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
+from benchmarks.frame import markdown, number
 from bowden.pages.reports import PAPER_RMSE_PERCENT
 from physics import laws
 from physics.converter import SensorParameters
@@ -162,17 +163,6 @@ def page(results: Sequence[Result]) -> str:
         "## The plant that these figures are of\n\n" + plant(),
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
-
-
-def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def number(value: float, digits: int = 2) -> str:
-    """Return a figure; "–" where it is not known, "stopped" where a trial did not complete."""
-    return "–" if math.isnan(value) else "stopped" if math.isinf(value) else f"{value:.{digits}f}"
 
 
 def _pair(results: Sequence[Result], figure: Callable[[Result], float]) -> str:

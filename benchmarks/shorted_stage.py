@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks import marked
+from benchmarks.frame import put
 from tests.faults.argument import STAGE
 from tests.faults.judge import END_LIMIT_N, OVER, START_LIMIT_N
 from tests.faults.plants import DRUM_M
@@ -60,7 +60,7 @@ def main() -> int:
     text = "\n".join(table())
     print(text)
     if given.page:
-        marked.put(PAGE, "conducting stage", text)
+        put(PAGE, "conducting stage", text)
     return 0
 
 

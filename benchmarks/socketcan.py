@@ -2,7 +2,6 @@
 
     python -m benchmarks.socketcan                   # prints the table, and writes it into docs/bench.md
     python -m benchmarks.socketcan --cycles 10000    # longer; what is counted is scaled to 10⁵ cycles either way
-    python -m benchmarks.socketcan --profile         # where our master's cycle goes, into the page too
     python -m benchmarks.socketcan --rates           # which rate the guest carries with the plant on its processor
 
 Needs `../shared/run_in_vm.sh` (back end `icount`): the guest's clock counts instructions, so any machine prints the
@@ -19,15 +18,13 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from benchmarks.marked import put
+from benchmarks.frame import DOCS, ROOT, markdown, put
 
-ROOT = Path(__file__).resolve().parents[1]
 GUEST = ROOT.parent / "shared" / "run_in_vm.sh"
-PAGE = ROOT / "docs" / "bench.md"
+PAGE = DOCS / "bench.md"
 LIMIT_S = 7200
 RUNS = (("vcan0", "vcan0", 500, True), ("can0", "can1", 500, True), ("vcan0", "vcan0", 1000, False),
         ("can0", "can1", 1000, False))
@@ -47,16 +44,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cycles", type=int, default=500)
     parser.add_argument("--run", type=int, choices=range(len(RUNS)), action="append", help="only this row of RUNS")
-    kind = parser.add_mutually_exclusive_group()
-    kind.add_argument("--profile", action="store_true", help="our cycle by stages")
-    kind.add_argument("--rates", action="store_true", help="our cycle with the bench, at several rates")
+    parser.add_argument("--rates", action="store_true", help="our cycle with the bench, at several rates")
     chosen = parser.parse_args()
     if "CANVM" in os.environ:
         for told in measured_here(chosen):
             print(json.dumps(told), flush=True)
         return
-    name, laid_out = (("socketcan profile", profile) if chosen.profile
-                      else ("socketcan rates", rates) if chosen.rates else ("socketcan", table))
+    name, laid_out = ("socketcan rates", rates) if chosen.rates else ("socketcan", table)
     text = laid_out(in_guest(sys.argv[1:]))
     print(text)
     if not chosen.run:
@@ -67,9 +61,7 @@ def measured_here(chosen: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """What was asked for, measured on this kernel."""
     from benchmarks import socketcan_masters as masters
 
-    if chosen.profile:
-        yield masters.profiled(chosen.cycles)
-    elif chosen.rates:
+    if chosen.rates:
         yield from masters.carried(RATES_HZ, chosen.cycles)
     else:
         for i in chosen.run or range(len(RUNS)):
@@ -95,24 +87,15 @@ def in_guest(arguments: list[str]) -> list[dict[str, Any]]:
 
 def table(told: list[dict[str, Any]]) -> str:
     """The runs as a table of Markdown."""
-    return _laid_out(HEAD, map(_cells, told))
-
-
-def profile(told: list[dict[str, Any]]) -> str:
-    """Processor time of a cycle by stage, and of the whole."""
-    return _laid_out(("where", "µs a cycle"), [(name, f"{spent_us:.0f}") for name, spent_us in told[0].items()])
+    return markdown(HEAD, map(_cells, told))
 
 
 def rates(told: list[dict[str, Any]]) -> str:
     """What came of each rate with the bench on the same processor."""
-    return _laid_out(RATES_HEAD, [
+    return markdown(RATES_HEAD, [
         (str(each["rate_hz"]), "–", "–", "–", "–", f"stopped: {each['stopped']}") if each["stopped"] else
         (str(each["rate_hz"]), f"{each['held_hz']:.0f}", str(each["cycles"]), _missed(each),
          _pair(each["targets_us"]), "completed") for each in told])
-
-
-def _laid_out(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
-    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ("---",) * len(head), *rows))
 
 
 def _pair(values: Sequence[float | None]) -> str:

@@ -20,13 +20,12 @@ from typing import Any, Protocol
 
 import can
 import canopen
+import numpy as np
 
-from benchmarks.socketcan_bus import shown, watched
-from benchmarks.socketcan_profile import WHOLE, WRITER, costs_ns, watching
+from benchmarks.cycle import map_pdo
 from eds.bench import bus_load
 from eds.bench.bench_network import FILES, MASTER, SERVO, TARGETS_COB_ID, Network, WireLayout, wire
-from eds.bench.setup import Pdo
-from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
+from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, TPDO_BASE, NmtCommand, NmtState
 from eds.datatype import encode
 from eds.dictionary import key, packaged
 from master.cycle.exchange import Exchange
@@ -48,6 +47,8 @@ QUEUE = 256 << 20
 """Bytes of the watching socket's queue; the kernel charges about 770 for a frame."""
 BEATEN = 100
 """Cycles from one heartbeat to the next of who answers in a bench's place."""
+EDGE = 50
+"""Cycles at either end that are left out: starting and ending."""
 
 
 class Master(Protocol):
@@ -63,12 +64,9 @@ def cpu_s() -> float:
 
 
 def ours(
-    channel: str, rate_hz: int, cycles: int, folder: Path, *, served: bool = True, spent_s: Callable[[], float] = cpu_s
+    channel: str, rate_hz: int, cycles: int, folder: Path, *, served: bool = True
 ) -> float:
-    """A dry run of `bowden trial`: controller, safety and recorder in every cycle; no bring-up where none is served.
-
-    `spent_s` counts the processor time.
-    """
+    """A dry run of `bowden trial`: controller, safety and recorder in every cycle; no bring-up where none is served."""
     network = Network(rate_hz=rate_hz)
     gait = Gait(peak_n=PEAK_N, period_s=PERIOD_S, cycles=math.ceil(cycles / rate_hz / PERIOD_S), settle=0)
     planned = Planned(ExperimentSetup(paper_reference(PEAK_N, PERIOD_S), network, gait=gait, dry_run=True))
@@ -76,9 +74,9 @@ def ours(
     used = []
 
     def perform(exchange: Exchange) -> None:
-        before = spent_s()
+        before = cpu_s()
         planned.perform(exchange)
-        used.append((spent_s() - before) / walked)
+        used.append((cpu_s() - before) / walked)
 
     recorder = Recorder(folder / "ours.mcap", metadata={}, attachments={})  # its writer outside SCHED_FIFO
     with RecordedBus(channel) as bus, prepared():
@@ -122,23 +120,14 @@ def stock(
     network.notifier.add_listener(can.Logger(folder / "stock.log"))
     nodes = {node: network.add_node(node, str(packaged(name))) for node, name in FILES.items()}
     for number, node in nodes.items():
-        _mapped(node.tpdo[1], described.pdos(number)[0])
-    _mapped(nodes[SERVO].rpdo[1], described.pdos(SERVO)[1])
+        map_pdo(node.tpdo[1], described.pdos(number)[0])
+    map_pdo(nodes[SERVO].rpdo[1], described.pdos(SERVO)[1])
     if served:
         _brought_up(network, nodes, described)
     with _threaded(network, 1 / rate_hz) if threaded else _broadcast(network, 1 / rate_hz):
         used = _exchange([node.tpdo[1] for node in nodes.values()], nodes[SERVO].rpdo[1], cycles)
     network.disconnect()
     return used
-
-
-def _mapped(pdo: Any, planned: Pdo) -> None:
-    """Give canopen's PDO the bench's mapping."""
-    pdo.clear()
-    for word in planned.mapping:
-        pdo.add_variable(word >> 16, word >> 8 & 0xFF, word & 0xFF)
-    pdo.cob_id, pdo.enabled = planned.cob_id, True
-    pdo.subscribe()
 
 
 def _brought_up(network: Any, nodes: Mapping[int, Any], described: WireLayout) -> None:
@@ -223,6 +212,40 @@ def peer(folder: Path, channel: str, rate_hz: int, *, served: bool) -> Iterator[
     process.wait()
 
 
+def watched(tap: KernelBus, process: rig.Process) -> tuple[rig.Told, list[tuple[int, int]]]:
+    """Wait until a master has ended, then take every frame: who looks earlier takes the processor from the cycle."""
+    told = process.wait()
+    return told, [(each.time_ns, each.arbitration_id) for each in iter(lambda: tap.recv(0), None)]
+
+
+def shown(rows: list[tuple[int, int]], rate_hz: int) -> dict[str, Any]:
+    """What frames show of the cycle; `EDGE` cycles at either end are left out."""
+    times = {can_id: np.array([row[0] for row in rows if row[1] == can_id], dtype=np.int64)
+             for can_id in (SYNC_COB_ID, TARGETS_COB_ID, *(TPDO_BASE + node for node in FILES))}
+    sync = times[SYNC_COB_ID][EDGE:-EDGE]
+    inputs = np.column_stack([_after(sync, times[TPDO_BASE + node]) for node in FILES]).max(axis=1)
+    targets = _after(sync, times[TARGETS_COB_ID])
+    jitter = np.abs(np.diff(sync) - 1e9 / rate_hz)
+    return {
+        "cycles": len(sync) - 1, "held_hz": (len(sync) - 1) * 1e9 / float(sync[-1] - sync[0]),
+        "missed": int(np.count_nonzero(np.isnan(inputs) | np.isnan(targets))),
+        "jitter_us": [float(np.quantile(jitter, 0.99)) / 1e3, float(jitter.max()) / 1e3],
+        "inputs_us": _middle_and_worst(inputs), "targets_us": _middle_and_worst(targets),
+    }
+
+
+def _after(sync: np.ndarray[Any, Any], stamps: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Time from each SYNC but the last to the first such frame before the next one, ns; NaN where there is none."""
+    place = np.searchsorted(stamps, sync[:-1])
+    found = np.append(stamps, np.iinfo(np.int64).max)[place]
+    return np.where(found < sync[1:], (found - sync[:-1]).astype(np.float64), np.nan)
+
+
+def _middle_and_worst(times_ns: np.ndarray[Any, Any]) -> list[float | None]:
+    there = times_ns[~np.isnan(times_ns)] / 1e3
+    return [float(np.median(there)), float(there.max())] if len(there) else [None, None]
+
+
 def measured(master_on: str, nodes_on: str, rate_hz: int, served: bool, cycles: int) -> Iterator[dict[str, Any]]:
     """Every master on one wiring at one rate."""
     rig.rehearse()
@@ -259,27 +282,3 @@ def carried(rates_hz: Sequence[int], cycles: int) -> Iterator[dict[str, Any]]:
                 told, rows = watched(tap, rig.Process(folder, "master", partial(tell, run)))
         stopped = told.stderr.strip().rpartition("\n")[2].removeprefix("RuntimeError: ") if told.status else ""
         yield {"rate_hz": rate_hz, "stopped": stopped, **({} if stopped else shown(rows, rate_hz))}
-
-
-def profiled(cycles: int) -> dict[str, float]:
-    """Processor time of our cycle at 1 kHz by stage of `socketcan_profile`, and of the whole process, µs."""
-    rig.rehearse()
-    around_ns, inside_ns = costs_ns()
-
-    def staged(folder: Path) -> dict[str, float]:
-        with watching() as watch:
-            ours("vcan0", 1000, cycles, folder, served=False, spent_s=watch.restarted)
-        return {stage: spent / 1e3 / watch.cycles for stage, spent in watch.spent_ns(around_ns, inside_ns).items()}
-
-    def counted(spent_s: Callable[[], float], folder: Path) -> dict[str, float]:
-        return {"": 1e6 * ours("vcan0", 1000, cycles, folder, served=False, spent_s=spent_s)}
-
-    found = []
-    for job in (staged, partial(counted, time.thread_time), partial(counted, cpu_s)):
-        with tempfile.TemporaryDirectory() as at, peer(Path(at), "vcan0", 1000, served=False):
-            told = rig.Process(Path(at), "master", partial(tell, partial(job, Path(at)))).wait()
-        if told.status:
-            raise RuntimeError(told.stderr)
-        found.append(told.result)
-    stages, thread, process = found
-    return {**stages, WRITER: process[""] - thread[""], WHOLE: process[""]}

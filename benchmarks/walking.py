@@ -9,6 +9,7 @@ and every gait cycle has its own figure (`trial.metrics.per_cycle`), true END.  
 from __future__ import annotations
 
 import argparse
+import datetime
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,9 +18,10 @@ from statistics import median
 import numpy as np
 
 from benchmarks import family_walks
-from benchmarks.figures import OUT, ROOT, SERIAL, identified
-from benchmarks.results_page import TRUE, markdown, number
-from bowden.bench import configuration
+from benchmarks.frame import OUT, ROOT, markdown, number
+from benchmarks.results_page import TRUE
+from bowden.bench import buses, configuration
+from bowden.models import identification
 from bowden.pages.figures import true_end
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run
@@ -27,17 +29,34 @@ from bowden.sweep.row_trial import digest
 from bowden.sweep.rows import Row, Value
 from bowden.sweep.sweep_table import SweepTable
 from bowden.trials import session
+from physics.calibration import write
 from physics.reference import recorded_angle
 from trial import read
 from trial.curves import Curve, read_curve
 from trial.metrics import per_cycle
 
+SERIAL = 3
+"""Bench of the own plant."""
 STRIDES = 8
 PERIOD_S = 1.2
 """Period of a stride, s, for files without a time column: a brisk walk, as the treadmill's."""
 PEAK_N = 40.0
 FAMILY = (16, 24, 25)
 """Benches of the family, developed with, none like another: a chain of masses, slip cells behind a play, fronts."""
+
+
+def identified() -> Path:
+    """Return the calibration of the own bench, identified where it is missing."""
+    calibration, recorded = OUT / "calibration.toml", OUT / "identification.mcap"
+    if not calibration.exists():
+        sections = configuration.read(None)
+        chosen = buses.simulated(SERIAL, channel="figures")
+        (result,) = identification.perform(
+            "all", sections, None, chosen, recorded, date=datetime.date.today().isoformat(), overwrite=True)
+        if result.calibration is None:
+            raise SystemExit(f"the identification stopped: {result.reason}")
+        calibration.write_text(write(result.calibration), encoding="utf-8")
+    return calibration
 
 
 def row(file: Path, timed: bool, calibration: Path) -> Row:
@@ -126,7 +145,7 @@ def main(arguments: Sequence[str]) -> None:
         raise SystemExit(f"{options.directory}: no recorded knee motion there; give its directory.")
     OUT.mkdir(parents=True, exist_ok=True)
     session.compile_laws(simulated=True)
-    calibration, _ = identified()
+    calibration = identified()
     curves = [read_curve(file, "knee_angle_rad") for file in files]
     timed = [bool(np.isfinite(curve.stride_s)) for curve in curves]
     rows = [row(curve.path, own, calibration) for curve, own in zip(curves, timed, strict=True)]

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.notebooks import FOLDER, executed
+from tests.bowden.notebook_outputs import FOLDER, executed
 
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 

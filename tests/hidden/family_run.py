@@ -17,7 +17,7 @@ import itertools
 import sys
 from pathlib import Path
 
-from benchmarks import marked
+from benchmarks.frame import put
 from bowden.sweep import run as sweep
 from bowden.trials import provenance
 from tests.hidden import family_bars, run
@@ -92,7 +92,7 @@ def main(arguments: list[str]) -> None:
     text = page(run.asking(arguments), sorted({kept.commits[job] for job in every}), key, whole, kinds, by_kind)
     print(text)
     if given.page:
-        marked.put(DOCS, "family", text)
+        put(DOCS, "family", text)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from benchmarks import marked
+from benchmarks.frame import put
 from bowden.cli import terminal
 from bowden.sweep import run
 from bowden.trials import provenance
@@ -144,7 +144,7 @@ def main(arguments: Sequence[str]) -> int:
                         f"{wanted[0].seed} to {wanted[-1].seed}.")
     print(written)
     if asked.page:
-        marked.put(DOCS, "judged", written)
+        put(DOCS, "judged", written)
     return 0
 
 

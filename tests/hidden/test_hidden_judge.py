@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import marked
+from benchmarks.frame import put
 from bowden.sweep.run import Workers
 from master.motion.scripted_experiments import laps
 from physics.effects.separating_experiments import SCRIPTED
@@ -193,7 +193,7 @@ def test_every_test_that_the_page_names_is_there() -> None:
 def test_only_what_stands_between_the_marks_is_written(tmp_path: Path) -> None:
     path = tmp_path / "page.md"
     path.write_text("before\n<!-- a: begin -->\nold\n<!-- a: end -->\nafter\n", encoding="utf-8")
-    marked.put(path, "a", "new")
+    put(path, "a", "new")
     assert path.read_text(encoding="utf-8") == "before\n<!-- a: begin -->\nnew\n<!-- a: end -->\nafter\n"
     with pytest.raises(ValueError, match="lacks <!-- b: begin -->"):
-        marked.put(path, "b", "new")
+        put(path, "b", "new")

@@ -1,4 +1,4 @@
-"""Execution of the notebooks with their outputs stored: `python -m benchmarks.notebooks [NOTEBOOK …]`.
+"""Execution of the notebooks with their outputs stored: `python -m tests.bowden.notebook_outputs [NOTEBOOK …]`.
 
 A notebook's code cells run in order in one namespace, in an empty folder, without Jupyter.  Printed text, the value of
 a last expression (HTML if it has `_repr_html_`) and Matplotlib figures become the cells' outputs.
@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
+FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 
 
 def executed(notebook: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Hours of simulated trials in one process, memory and handles watched: `python -m benchmarks.soak [--hours 8]`.
+"""Hours of simulated trials in one process, memory and handles watched: `python -m tests.fuzz.soak [--hours 8]`.
 
 Each piece is a whole trial, recorded to a file and closed; printed are the simulated hours, the process's resident
 memory, its open handles and its live objects after each, and at the end whether they grew after the first tenth.
