@@ -255,22 +255,23 @@ def _coverage(family: Sequence[Mapping[str, Any]]) -> str:
         rows.append([name, f"{inside} of {len(identified)}", f"{100.0 * median(apart):.1f} %" if apart else "–",
                      f"± {100.0 * median(wide):.1f} %" if wide else "–", met])
     squares = {name: [b["calibration"][name]["r_squared"] for b in identified]
-               for name in ("stiffness_b", "swing_k")}
+               for name in ("stiffness_b", "rope_per_knee")}
     heads = ("constant", "within", "median error", "median half of the interval", "90 % of the benches")
     return markdown(heads, rows) + (
         f"\n\n{PRODUCTS}\n\nR² as measured, median and least: (10) {median(squares['stiffness_b']):.3f} and "
-        f"{min(squares['stiffness_b']):.3f}, (11) {median(squares['swing_k']):.4f} and {min(squares['swing_k']):.4f}.")
+        f"{min(squares['stiffness_b']):.3f}, (11) {median(squares['rope_per_knee']):.4f} and "
+        f"{min(squares['rope_per_knee']):.4f}.")
 
 
 def _interval(scalars: Mapping[str, Any], name: str) -> tuple[float, float, float]:
     """Value and interval of a constant; the fabric's exponents are products of two, whose errors add."""
-    factor = {"fabric exponent, upright": "wrap_offset", "fabric exponent, slope": "wrap_slope"}.get(name)
+    factor = {"fabric exponent, upright": "phi0", "fabric exponent, slope": "fabric_wrap"}.get(name)
     if factor is None:
         row = scalars[name]
         low, high = row.get("interval", (row["value"], row["value"]))
         return row["value"], low, high
     values, relative = 1.0, 0.0
-    for part in ("fabric_friction", factor):
+    for part in ("mu2", factor):
         row = scalars[part]
         low, high = row.get("interval", (row["value"], row["value"]))
         values *= row["value"]

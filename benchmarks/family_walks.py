@@ -48,9 +48,9 @@ COUNTERPARTS: Mapping[str, Callable[[Any], float]] = {
     "load_slope": lambda b: b.load_slope / _at_40(b),
     "presliding": lambda b: b.presliding, "fabric_presliding": lambda b: b.fabric_presliding,
     "breakaway": lambda b: b.sheath_ratio - 1.0, "fabric_breakaway": lambda b: b.fabric_ratio - 1.0,
-    "breakaway_speed": lambda b: b.stribeck_speed, "breakaway_memory": lambda b: b.stribeck_memory,
+    "stribeck_speed": lambda b: b.stribeck_speed, "stribeck_memory": lambda b: b.stribeck_memory,
     "viscous": lambda b: b.viscous, "viscous_tension": lambda b: _greased(),
-    "swing_k": lambda b: b.moment_arm, "start_gain": lambda b: b.start_gain / b.end_gain,
+    "rope_per_knee": lambda b: b.moment_arm, "start_gain": lambda b: b.start_gain / b.end_gain,
     "start_offset": lambda b: b.start_offset,
 }
 """Constant → its true counterpart on a bench of the family; those of the lumped model without one are not judged."""

@@ -1,4 +1,4 @@
-"""Calibration of a bench: at most thirty measured scalars, each with its evidence, and a discrepancy beyond them.
+"""Calibration of a bench: at most 32 measured scalars, each with its evidence, and a discrepancy beyond them.
 
 A calibration is the controller's view of a bench model (`physics.bench_model`): scalars and the posterior of a
 discrepancy, never a force over time; the controller has no other data of the plant. `bowden identify` measures it. The
@@ -20,7 +20,7 @@ from physics.conversions import UNRELATED, converted, to_scalars
 from physics.correlation import Correlation
 from physics.end_discrepancy import EndDiscrepancy
 from physics.older_files import READ, VERSION, translated
-from physics.parameters import BY_CALIBRATION, PARAMETERS, Parameter, assumed
+from physics.parameters import PARAMETERS, Parameter, assumed
 
 NOMINAL = "nominal"
 PARAMETER_TABLE = "parameters"
@@ -64,35 +64,35 @@ class Calibration:
     """Scalars of one bench, SI; `label` is "nominal" or the file it was read from, `bench` the bench it belongs to.
 
     `discrepancy`: START → END beyond the scalars' prediction; None without a gait trial.  `correlation`: of the scalars
-    that were estimated together, by their names in the table of parameters.
+    that were estimated together.
     """
 
     stiffness_a: float = assumed("stiffness_a")
     stiffness_b: float = assumed("stiffness_b")
-    stiffness_c: float = assumed("rope_zero")
+    rope_zero: float = assumed("rope_zero")
     stretch_short: float = assumed("stretch_short")
     stretch_wide: float = assumed("stretch_wide")
     identified_to: float = assumed("identified_to")
-    swing_k: float = assumed("rope_per_knee")
+    rope_per_knee: float = assumed("rope_per_knee")
     swing_p: float = assumed("swing_p")
     home_preload: float = assumed("home_preload")
     cable_exponent: float = assumed("cable_exponent")
-    fabric_friction: float = assumed("mu2")
-    wrap_offset: float = assumed("phi0")
-    wrap_slope: float = assumed("fabric_wrap")
+    mu2: float = assumed("mu2")
+    phi0: float = assumed("phi0")
+    fabric_wrap: float = assumed("fabric_wrap")
     cable_compliance: float = assumed("cable_compliance")
     presliding: float = assumed("presliding")
     fabric_presliding: float = assumed("fabric_presliding")
     breakaway: float = assumed("breakaway")
     fabric_breakaway: float = assumed("fabric_breakaway")
-    breakaway_speed: float = assumed("stribeck_speed")
-    breakaway_memory: float = assumed("stribeck_memory")
+    stribeck_speed: float = assumed("stribeck_speed")
+    stribeck_memory: float = assumed("stribeck_memory")
     load_slope: float = assumed("load_slope")
     viscous: float = assumed("viscous")
     viscous_tension: float = assumed("viscous_tension")
     fabric_share: float = assumed("fabric_share")
-    drive_bandwidth: float = assumed("servo_bandwidth")
-    loop_delay: float = assumed("servo_delay")
+    servo_bandwidth: float = assumed("servo_bandwidth")
+    servo_delay: float = assumed("servo_delay")
     start_noise: float = assumed("start_noise")
     start_lag: float = assumed("start_lag")
     start_gain: float = assumed("start_gain")
@@ -228,7 +228,7 @@ def of_values(
         told["fabric_breakaway"] = told["breakaway"]
     if untold := [name for name in lacking if name not in LATER]:
         warnings.warn(f"{label}: says nothing of {', '.join(untold)}; taken as assumed.", Remark, stacklevel=2)
-    known = {name: evidence[BY_CALIBRATION[name]] for name in scalars() if BY_CALIBRATION[name] in evidence}
+    known = {name: evidence[name] for name in scalars() if name in evidence}
     fields: dict[str, Any] = {name: float(value) for name, value in told.items()}
     return checked(Calibration(**fields, evidence=known, label=label, bench=bench, lacking=lacking,
                                discrepancy=beyond, correlation=together), where=label)
@@ -236,14 +236,13 @@ def of_values(
 
 def _inside(name: str, value: float) -> float:
     """Return a scalar within the bounds of a measurement; a fit to trials may lie beyond them."""
-    known = PARAMETERS[BY_CALIBRATION[name]].assumed
+    known = PARAMETERS[name].assumed
     return value if known is None else min(max(value, known.low), known.high)
 
 
 def values_of(calibration: Calibration) -> tuple[dict[str, float], dict[str, ScalarEvidence]]:
     """Return a calibration's values and evidence by name of the table of parameters."""
-    return ({BY_CALIBRATION[name]: float(getattr(calibration, name)) for name in scalars()},
-            {BY_CALIBRATION[name]: known for name, known in calibration.evidence.items()})
+    return {name: float(getattr(calibration, name)) for name in scalars()}, dict(calibration.evidence)
 
 
 def rows(values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence], table: str = PARAMETER_TABLE

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Final, NamedTuple
 
-from physics.parameters import BY_CALIBRATION, PARAMETERS, nominal
+from physics.parameters import CALIBRATED, PARAMETERS, nominal
 
 Values = Mapping[str, float]
 
@@ -69,8 +69,8 @@ UNRELATED: Final = (
     Form("fabric_presliding", ("fabric_presliding_ratio", "presliding"), lambda ratio, rope: ratio * rope),
 )
 """Quantities of the simulation, from those that a fit of it estimates."""
-MEASURABLE: Final = frozenset(name for form in MEASURED for name in form.of) | {
-    name for name in BY_CALIBRATION.values() if name not in {form.name for form in MEASURED}}
+MEASURABLE: Final = frozenset(name for form in MEASURED for name in form.of) | (
+    CALIBRATED - {form.name for form in MEASURED})
 """Quantities that follow from the scalars of a calibration."""
 
 
@@ -90,12 +90,10 @@ def converted(forms: Iterable[Form], given: Values) -> dict[str, float]:
 
 def from_scalars(scalars: Values) -> dict[str, float]:
     """Convert a calibration's scalars, by name, to quantities of the table in every form."""
-    named = {BY_CALIBRATION[key]: value for key, value in scalars.items() if key in BY_CALIBRATION}
-    return converted(RELATED, converted(SIMULATED, named))
+    return converted(RELATED, converted(SIMULATED, {n: v for n, v in scalars.items() if n in CALIBRATED}))
 
 
 def to_scalars(values: Values) -> dict[str, float]:
     """Return the scalars of a calibration that follow from `values`, quantities of the table; the inverse of the
     above."""
-    told = converted(MEASURED, values)
-    return {p.calibration: told[name] for name, p in PARAMETERS.items() if p.calibration and name in told}
+    return {name: value for name, value in converted(MEASURED, values).items() if name in CALIBRATED}

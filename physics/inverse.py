@@ -47,7 +47,7 @@ class Law(NamedTuple):
     fabric_travel: float
     fabric_offset: float
     fabric_slope: float
-    swing_k: float
+    rope_per_knee: float
     knee_home: float
     breakaway: float
     fabric_breakaway: float
@@ -93,14 +93,14 @@ def law(calibration: Calibration, period_s: float, friction: float = 1.0, softne
         cable_exponent=friction * calibration.cable_exponent,
         rope_travel=calibration.presliding,
         fabric_travel=calibration.fabric_presliding,
-        fabric_offset=friction * calibration.fabric_friction * calibration.wrap_offset,
-        fabric_slope=friction * calibration.fabric_friction * calibration.wrap_slope,
-        swing_k=calibration.swing_k,
+        fabric_offset=friction * calibration.mu2 * calibration.phi0,
+        fabric_slope=friction * calibration.mu2 * calibration.fabric_wrap,
+        rope_per_knee=calibration.rope_per_knee,
         knee_home=float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT)),
         breakaway=calibration.breakaway,
         fabric_breakaway=calibration.fabric_breakaway,
-        breakaway_travel=calibration.breakaway_speed * period_s,
-        fade=-math.expm1(-period_s / calibration.breakaway_memory),
+        breakaway_travel=calibration.stribeck_speed * period_s,
+        fade=-math.expm1(-period_s / calibration.stribeck_memory),
         load_slope=calibration.load_slope,
         drag=calibration.viscous / period_s,
         taut=calibration.viscous_tension,
@@ -141,8 +141,8 @@ def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
     sum.
     """
     (constant, _quadratic, _linear, _short, _wide, _reach, rope_compliance, share, cable_exponent, rope_travel,
-     fabric_travel, fabric_offset, fabric_slope, swing_k, knee_home, breakaway, fabric_breakaway, breakaway_travel,
-     fade, load_slope, drag, taut) = law
+     fabric_travel, fabric_offset, fabric_slope, rope_per_knee, knee_home, breakaway, fabric_breakaway,
+     breakaway_travel, fade, load_slope, drag, taut) = law
     rope, fabric, rope_x, knee_x, rope_speed, fabric_speed = slip
     on_knee = (1.0 - share) * elongation(law, force)[0]
     if not math.isnan(knee_x):
@@ -152,7 +152,7 @@ def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
     by_knee = ((fabric_offset + fabric_slope * abs(knee)) * fabric * (1.0 + fabric_breakaway * knee_slow)
                * load_dependence(load_slope, force))
     tension = capstan(force, by_knee)
-    in_sheath = swing_k * (knee - knee_home) + on_knee + share * elongation(law, tension)[0]
+    in_sheath = rope_per_knee * (knee - knee_home) + on_knee + share * elongation(law, tension)[0]
     moved = 0.0
     if not math.isnan(rope_x):
         moved = in_sheath - rope_x
@@ -174,8 +174,8 @@ def held_by_position(law: Any, position: float, knee: float, start: float, drag:
     knee.
     """
     constant, share, rope_compliance = law[0], law[7], law[6]
-    swing_k, knee_home = law[13], law[14]
-    stretched = position - constant - swing_k * (knee - knee_home) - rope_compliance * start
+    rope_per_knee, knee_home = law[13], law[14]
+    stretched = position - constant - rope_per_knee * (knee - knee_home) - rope_compliance * start
     tension = capstan(max(start - drag, 0.0), -by_sheath)
     after = (stretched - share * elongation(law, tension)[0]) / (1.0 - share)
     if after <= 0.0:
@@ -197,8 +197,8 @@ def _end_from_start(
     law: Any, position: Any, start: Any, knee: Any, end: Any, predicted: Any
 ) -> None:
     (constant, _quadratic, _linear, _short, _wide, _reach, rope_compliance, share, cable_exponent, rope_travel,
-     fabric_travel, fabric_offset, fabric_slope, swing_k, knee_home, breakaway, fabric_breakaway, breakaway_travel,
-     fade, load_slope, drag, taut) = law
+     fabric_travel, fabric_offset, fabric_slope, rope_per_knee, knee_home, breakaway, fabric_breakaway,
+     breakaway_travel, fade, load_slope, drag, taut) = law
     rope, fabric, knee_x, rope_speed, fabric_speed, force = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     before = position[0] - rope_compliance * start[0]
     for i in range(start.size):
@@ -234,7 +234,7 @@ def _end_from_start(
         fabric_speed += fade * (on_knee - knee_x - fabric_speed)
         fabric, knee_x = slip, on_knee
         end[i] = force
-        predicted[i] = (constant + swing_k * (knee[i] - knee_home) + on_knee + share * elongation(law, tension)[0]
+        predicted[i] = (constant + rope_per_knee * (knee[i] - knee_home) + on_knee + share * elongation(law, tension)[0]
                         + rope_compliance * start[i])
 
 

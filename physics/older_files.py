@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from parameters import Remark
-from physics.parameters import BY_CALIBRATION, CALIBRATION_UNITS
 
 VERSION: Final = 2
 READ: Final = (1, VERSION)
@@ -23,6 +22,13 @@ OLDER_TABLES: Final = (SCALARS, CONSTANTS)
 RENAMED: Final[Mapping[str, str]] = {"moment_arm_m": "rope_per_knee", "moment_arm": "rope_per_knee_quadratic",
                                      "knee_ratio": "rope_per_knee"}
 """Names that older files give to parameters, and today's."""
+FIRST: Final[Mapping[str, str]] = {
+    "stiffness_c": "rope_zero", "swing_k": "rope_per_knee", "fabric_friction": "mu2", "wrap_offset": "phi0",
+    "wrap_slope": "fabric_wrap", "breakaway_speed": "stribeck_speed", "breakaway_memory": "stribeck_memory",
+    "drive_bandwidth": "servo_bandwidth", "loop_delay": "servo_delay"}
+"""Names of version 1, and today's; its other names are today's."""
+FIRST_UNIT: Final = "rad/rad"
+"""Unit of version 1 for what is 1/rad today."""
 PARAMETERS_TABLE: Final = "parameters"
 SIMULATION_TABLE: Final = "simulation"
 FITTED_TABLE: Final = "fitted"
@@ -32,8 +38,7 @@ def translated(tables: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return the tables of a bench model with today's names; `where` is the file that a `Remark` names."""
     found = dict(tables)
     if isinstance(scalars := found.pop(SCALARS, None), Mapping):
-        found[PARAMETERS_TABLE] = {BY_CALIBRATION.get(name, name): _in_today_s_unit(BY_CALIBRATION.get(name, name), row)
-                                   for name, row in scalars.items()}
+        found[PARAMETERS_TABLE] = {FIRST.get(name, name): _in_today_s_unit(row) for name, row in scalars.items()}
     if isinstance(constants := found.pop(CONSTANTS, None), Mapping):
         found |= {SIMULATION_TABLE: constants, "version": VERSION}
     own = found.get(PARAMETERS_TABLE)
@@ -46,8 +51,8 @@ def translated(tables: Mapping[str, Any], where: str) -> dict[str, Any]:
     return found
 
 
-def _in_today_s_unit(name: str, row: Any) -> Any:
-    written = isinstance(row, Mapping) and name in CALIBRATION_UNITS and row.get("unit") == CALIBRATION_UNITS[name]
+def _in_today_s_unit(row: Any) -> Any:
+    written = isinstance(row, Mapping) and row.get("unit") == FIRST_UNIT
     return {key: value for key, value in row.items() if key != "unit"} if written else row
 
 

@@ -1,8 +1,8 @@
 """The one table of the bench's parameters: name, unit, meaning, bounds, nominal value, tolerances, likely faults.
 
 Each quantity is declared here once; simulation, controller, identification, diagnosis, scatter and the catalogue of
-effects read its row. All values are SI. A quantity with another name in a table of a file has that name in its row
-(`plant`, `calibration`); one with another form there has its conversion in `physics.conversions`.
+effects read its row. All values are SI. A quantity with another name in a plant model has that name in its row
+(`plant`); one with another form there has its conversion in `physics.conversions`.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class Parameter:
     """One quantity of a bench.
 
     `nominal`, `source`: its value on the nominal bench, and the origin of that value; `low`, `high`: bounds of the
-    simulation. `plant`: "table.key" of a plant model; `calibration`: its name among a calibration's scalars,
-    `assumed` its value there before identification.
+    simulation. `plant`: "table.key" of a plant model; `assumed`: its value in a calibration before
+    identification.
 
     For the diagnosis: `ideal`: value in a rigid, frictionless transmission with true sensors (None: nominal); `search`:
     bounds of a fit on such a bench; `any_rig`: bounds on rigs of any size, given for each parameter of an effect;
@@ -60,7 +60,6 @@ class Parameter:
     high: float
     source: str
     plant: str = ""
-    calibration: str = ""
     assumed: Assumed | None = None
     ideal: float | None = None
     search: Range | None = None
@@ -102,7 +101,6 @@ _FRICTION: Final = (
        daily=_T("factor", 0.10, "assumed: temperature, humidity")),
     _P("mu2", "", "friction coefficient μ2 of fabric on the knee", 0.15, 0.0, 1.0,
        "assumed: with the wrap an exponent of 0.10 at 13–20 % of gait", plant="plant.mu2",
-       calibration="fabric_friction",
        assumed=Assumed(0.12, 0.0, 1.0, "assumed: equation (7) gives the law, the paper no number",
                        "friction coefficient of the fabric on the knee, μ2"),
        ideal=0.0, any_rig=(0.0, 2.0), likely=(0.05, 0.6),
@@ -111,11 +109,11 @@ _FRICTION: Final = (
     _P("theta1", "rad", "total bend θ1 of the sheath", math.pi / 2, 0.0, 4 * math.pi, "assumed: a quarter turn",
        plant="plant.theta1_rad", any_rig=(0.0, 20.0)),
     _P("phi0", "rad", "wrap angle φ0 at the upright knee", 0.15, 0.0, 4.0, "assumed: strap held off the knee",
-       plant="plant.wrap_rad", calibration="wrap_offset",
+       plant="plant.wrap_rad",
        assumed=Assumed(0.4, 0.0, 6.3, "assumed: φ = φ0 + κ·|θk|", "wrap of the fabric at the upright knee, φ0"),
        any_rig=(0.0, 6.0), made=_T("factor", 0.25, "assumed: fit of the strap")),
     _P("fabric_wrap", "1/rad", "κ: φ = φ0 + κ·|θk|", 1.0, 0.0, 4.0, "assumed: the wrap grows with the flexion",
-       plant="plant.fabric_wrap", calibration="wrap_slope",
+       plant="plant.fabric_wrap",
        assumed=Assumed(1.0, 0.0, 3.0, "assumed: φ = φ0 + κ·|θk|", "wrap gained per radian of flexion, κ"),
        ideal=0.0, any_rig=(0.0, 4.0), likely=(0.3, 1.7),
        made=_T("factor", 0.10, "assumed: fit of the strap")),
@@ -123,12 +121,12 @@ _FRICTION: Final = (
        plant="plant.cable_bend", search=(-0.7, 1.5), any_rig=(-0.7, 1.5), likely=(-0.5, 0.5),
        neutral=0.0),
     _P("load_slope", "", "λ: μ1 and μ2 times 1 + λ·(T/40 N − 1)", 0.0, -0.9, 2.0, "assumed: Amontons' law",
-       plant="plant.load_slope", calibration="load_slope",
+       plant="plant.load_slope",
        assumed=Assumed(0.0, -0.9, 2.0, "assumed: Amontons' law", "λ: both exponents times 1 + λ·(T/40 N − 1)"),
        search=(-0.8, 0.8), any_rig=(-0.8, 0.8), likely=(-0.4, 0.4),
        neutral=0.0),
     _P("viscous", "N·s/m", "viscous friction of rope in sheath, whole length", 0.0, 0.0, 60.0,
-       "paper, 3.1: Coulomb friction only", plant="plant.viscous", calibration="viscous",
+       "paper, 3.1: Coulomb friction only", plant="plant.viscous",
        assumed=Assumed(0.0, 0.0, 200.0, "paper, 3.1: Coulomb friction only",
                        "viscous friction of the rope in its sheath"),
        any_rig=(-1e4, 1e4),
@@ -138,11 +136,11 @@ _FRICTION: Final = (
        any_rig=(1.0, 4.0), likely=(1.2, 2.5), neutral=1.0,
        daily=_T("excess", 0.3, "assumed: breakaway after a night's rest; paper, Fig. 15")),
     _P("stribeck_speed", "m/s", "Stribeck speed vs", 0.01, 5e-4, 0.2, "assumed: greased steel",
-       plant="plant.stribeck_speed_m_s", calibration="breakaway_speed",
+       plant="plant.stribeck_speed_m_s",
        assumed=Assumed(0.01, 5e-4, 0.2, "assumed: greased steel", "sliding speed at which breakaway has gone, vs"),
        search=(1e-3, 0.1), any_rig=(1e-3, 0.1), likely=(2e-3, 30e-3)),
     _P("presliding", "m", "rope travel δ over which friction turns over", 0.1e-3, 0.02e-3, 3e-3,
-       "assumed: Dahl model of tendon sheaths (Palli)", plant="plant.presliding_m", calibration="presliding",
+       "assumed: Dahl model of tendon sheaths (Palli)", plant="plant.presliding_m",
        assumed=Assumed(2e-4, 1e-6, 5e-3, "assumed: 0.05–1 mm",
                        "rope travel over which the sheath's friction turns over"),
        ideal=1e-6, any_rig=(1e-6, 3e-3), likely=(50e-6, 1e-3),
@@ -152,15 +150,15 @@ _FRICTION: Final = (
     _P("friction_drift", "", "relative change of μ1 and μ2 over friction_drift_s (wear, heat)", 0.0, -0.95, 5.0,
        "assumed: none", plant="plant.friction_drift", search=(-0.95, 3.0), any_rig=(-0.95, 3.0), likely=(-0.7, 0.7),
        neutral=0.0),
-    _P("coulomb", "N", "friction that no load changes", 0.0, -1e3, 1e3, "paper, 3.1: capstan friction only",
+    _P("coulomb", "N", "friction that no load changes, of a rig", 0.0, -1e3, 1e3, "paper, 3.1: capstan friction only",
        any_rig=(-1e3, 1e3)),
     _P("stribeck_memory", "s", "time by which the Stribeck curve lags the sliding speed", 20e-3, 1e-3, 0.1,
-       "assumed: frictional memory (Hess and Soom)", plant="plant.stribeck_memory_s", calibration="breakaway_memory",
+       "assumed: frictional memory (Hess and Soom)", plant="plant.stribeck_memory_s",
        assumed=Assumed(0.01, 1e-3, 0.5, "assumed: frictional memory (Hess and Soom)",
                        "time by which friction lags the sliding speed"),
        ideal=0.0, any_rig=(0.0, 0.1), likely=(2e-3, 38e-3)),
     _P("fabric_presliding", "m", "travel on the knee over which friction turns over", 0.1e-3, 0.02e-3, 3e-3,
-       "assumed: as the rope's", plant="plant.fabric_presliding_m", calibration="fabric_presliding",
+       "assumed: as the rope's", plant="plant.fabric_presliding_m",
        assumed=Assumed(2e-4, 1e-6, 5e-3, "assumed: as presliding",
                        "fabric travel over which the knee's friction turns over"),
        made=_T("factor", 0.30, "assumed: as friction, and more")),
@@ -180,7 +178,7 @@ _PATH: Final = (
        (0.024e-3 + 0.5 * 0.008e-3) / (laws.STIFFNESS_B_MM_N * 1e-3), 0.0, 1.0,
        "assumed: lead_compliance and half of sheath_compliance", ideal=0.1, any_rig=(0.0, 1.0)),
     _P("home_preload", "N", "START tension at which homing fixes the encoder's zero", 20.0, 0.0, 20.0,
-       "equation (10), lower end of its identification", calibration="home_preload",
+       "equation (10), lower end of its identification",
        assumed=Assumed(20.0, 1.0, 60.0, "equation (10), lower end of its identification",
                        "START tension at which (10) fixes the encoder zero"),
        ideal=0.0, any_rig=(0.0, 20.0)),
@@ -192,12 +190,12 @@ _PATH: Final = (
     _P("slack", "m", "length to be wound up before the rope is taut", 0.0, -5e-3, 20e-3, "assumed: none",
        plant="plant.slack_m", any_rig=(-5e-3, 2e-2), likely=(0.5e-3, 5e-3), neutral=0.0),
     _P("rope_zero", "m", "servo position of the taut, unloaded rope at the knee angle of 13 % of gait", 9.7e-3,
-       -1.0, 1.0, "(10): ck", plant="plant.encoder_zero_m", calibration="stiffness_c",
+       -1.0, 1.0, "(10): ck", plant="plant.encoder_zero_m",
        assumed=Assumed(9.7e-3, -1.0, 1.0, "equation (10), ck", "encoder position that (10) gives at no force"),
        ideal=0.0, any_rig=(-1.0, 1.0),
        daily=_T("offset", 0.1e-3, "repeatability of homing to a preload")),
     _P("rope_per_knee", "m/rad", "k2: rope displacement per knee angle", laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE,
-       0.005, 0.2, "(11): k2", plant="plant.rope_per_knee", calibration="swing_k",
+       0.005, 0.2, "(11): k2", plant="plant.rope_per_knee",
        assumed=Assumed(0.706e-3 * 180 / math.pi, 0.0, 0.2, "equation (11), k2",
                        "rope that one radian of the knee takes"),
        search=(0.9 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE), 1.1 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE)),
@@ -252,9 +250,8 @@ def _sensor(
 
 _START: Final = _sensor(
     "start", (-1e3, 1e3),
-    {"calibration": "start_gain",
-     "assumed": Assumed(1.0, 0.8, 1.25, "assumed: both true", "START's reading by END's where no friction is between")},
-    {"calibration": "start_offset", "assumed": Assumed(0.0, -10.0, 10.0, "assumed", "START reading with a slack rope"),
+    {"assumed": Assumed(1.0, 0.8, 1.25, "assumed: both true", "START's reading by END's where no friction is between")},
+    {"assumed": Assumed(0.0, -10.0, 10.0, "assumed", "START reading with a slack rope"),
      "daily": _T("offset", 0.2, "assumed: temperature of the bridge")})
 _END: Final = _sensor("end", (-20.0, 20.0), {}, {})
 _SENSORS: Final = (
@@ -275,7 +272,7 @@ _SENSORS: Final = (
     _P("sensor_cutoff", "Hz", "converter's low-pass, first order", 200.0, 1.0, 1e4, "assumed: sinc filter at 1 kHz",
        plant="start_sensor.cutoff_hz end_sensor.cutoff_hz"),
     _P("start_noise", "N", "noise of a sample, rms", 0.15, 0.0, 20.0, "assumed: 0.075 % of full scale",
-       plant="start_sensor.noise_n", calibration="start_noise",
+       plant="start_sensor.noise_n",
        assumed=Assumed(0.15, 0.0, 5.0, "assumed", "standard deviation of START at rest")),
     _P("drift_time", "s", "time, from the start, that drift_n refers to", 20.0, 0.1, 1e6,
        "assumed: ten gait cycles of 2 s", plant="start_sensor.drift_s end_sensor.drift_s"),
@@ -324,10 +321,10 @@ _DRIVES: Final = (
     _P("supply_ohm", "Ω", "internal resistance of the supply (sag)", 0.0, 0.0, 5.0, "assumed: a stiff supply",
        plant="plant.supply_ohm", any_rig=(0.0, 5.0), likely=(1.0, 5.0), neutral=0.0),
     _P("servo_bandwidth", "Hz", "bandwidth of the servo's position loop", 25.0, 1.0, 500.0, "assumed",
-       calibration="drive_bandwidth", assumed=Assumed(25.0, 1.0, 500.0, "assumed"),
+       assumed=Assumed(25.0, 1.0, 500.0, "assumed"),
        any_rig=(1.0, 500.0)),
     _P("servo_delay", "s", "from a target sent to its first sight in the inputs", 2e-3, -0.01, 0.1,
-       "control timing: two SYNC periods at 1 kHz", calibration="loop_delay",
+       "control timing: two SYNC periods at 1 kHz",
        assumed=Assumed(2e-3, 0.0, 0.1, "control timing: two SYNC periods at 1 kHz"),
        any_rig=(-0.01, 0.1)),
     _P("supply", "V", "supply voltage", 48.0, 0.0, 60.0, "paper, 5.2", plant="plant.supply_v"),
@@ -390,43 +387,42 @@ _WIRE: Final = (
 )
 _MEASURED: Final = (
     _P("stiffness_a", "m/N²", "quadratic term of the stretch", -1.7e-6, -1e-4, 0.0, "equation (10), ak",
-       calibration="stiffness_a", assumed=Assumed(-1.7e-6, -1e-4, 0.0, "equation (10), ak")),
+       assumed=Assumed(-1.7e-6, -1e-4, 0.0, "equation (10), ak")),
     _P("stiffness_b", "m/N", "linear term of the stretch", 3e-4, 1e-6, 1e-2, "equation (10), bk",
-       calibration="stiffness_b", assumed=Assumed(3e-4, 1e-6, 1e-2, "equation (10), bk")),
+       assumed=Assumed(3e-4, 1e-6, 1e-2, "equation (10), bk")),
     _P("stretch_short", "m/N", "departure of the stretch from (10) that fades over 8 N, s1", 0.0, -1e-2, 1e-2,
-       "(10): none", calibration="stretch_short", assumed=Assumed(0.0, -1e-2, 1e-2, "(10): none")),
+       "(10): none", assumed=Assumed(0.0, -1e-2, 1e-2, "(10): none")),
     _P("stretch_wide", "m/N", "departure of the stretch from (10) that fades over 30 N, s2", 0.0, -1e-2, 1e-2,
-       "(10): none", calibration="stretch_wide", assumed=Assumed(0.0, -1e-2, 1e-2, "(10): none")),
+       "(10): none", assumed=Assumed(0.0, -1e-2, 1e-2, "(10): none")),
     _P("identified_to", "N", "START tension up to which the bench was identified", 300.0, 1.0, 300.0,
-       "neutral: no bound", calibration="identified_to", assumed=Assumed(300.0, 1.0, 300.0, "neutral: no bound")),
+       "neutral: no bound", assumed=Assumed(300.0, 1.0, 300.0, "neutral: no bound")),
     _P("swing_p", "m", "encoder position at the upright knee under 20 N", 22.17e-3, -1.0, 1.0, "equation (11), p2",
-       calibration="swing_p", assumed=Assumed(22.17e-3, -1.0, 1.0, "equation (11), p2")),
+       assumed=Assumed(22.17e-3, -1.0, 1.0, "equation (11), p2")),
     _P("cable_exponent", "", "capstan exponent of the cable, μ1·θ", 0.08 * math.pi / 2, 0.0, 1.0, "mu1, theta1",
-       calibration="cable_exponent",
        assumed=Assumed(0.13, 0.0, 1.0, "assumed: equation (3) gives the law, the paper no number")),
     _P("cable_compliance", "m/N", "stretch of the rope on the START side of the friction", 0.024e-3 + 0.5 * 0.008e-3,
-       0.0, 1e-3, "lead_compliance and half of sheath_compliance", calibration="cable_compliance",
+       0.0, 1e-3, "lead_compliance and half of sheath_compliance",
        assumed=Assumed(3.7e-5, 0.0, 1e-3, "assumed: 27 N/mm against a stuck rope")),
     _P("breakaway", "", "friction that rest adds to sliding friction, relative, β", 0.0, 0.0, 4.0, "stribeck_ratio",
-       calibration="breakaway", assumed=Assumed(0.0, 0.0, 4.0, "assumed: none on the day of identification")),
+       assumed=Assumed(0.0, 0.0, 4.0, "assumed: none on the day of identification")),
     _P("fabric_breakaway", "", "friction that rest adds to sliding friction of the fabric on the knee, relative", 0.0,
-       0.0, 4.0, "stribeck_ratio", calibration="fabric_breakaway",
+       0.0, 4.0, "stribeck_ratio",
        assumed=Assumed(0.0, 0.0, 4.0, "assumed: none on the day of identification")),
     _P("viscous_tension", "N", "tension from which the rope's viscous friction acts in full, in proportion below", 10.0,
-       1.0, 100.0, "assumed: a slack rope does not press on its sheath", calibration="viscous_tension",
+       1.0, 100.0, "assumed: a slack rope does not press on its sheath",
        assumed=Assumed(10.0, 0.1, 100.0, "assumed: a slack rope does not press on its sheath"),
        ideal=0.0, any_rig=(0.0, 100.0)),
     _P("fabric_share", "", "share of the fabric's stretch on the rope's side of the knee", 0.425, 0.0, 1.0,
-       "fabric_share_before and half of what lies on the knee", calibration="fabric_share",
+       "fabric_share_before and half of what lies on the knee",
        assumed=Assumed(0.4, 0.0, 1.0, "assumed: geometry")),
     _P("start_lag", "s", "time by which START's reading lags its force", 1e-3, 0.0, 0.1,
-       "assumed: a low-pass of 200 Hz and half a sampling interval", calibration="start_lag",
+       "assumed: a low-pass of 200 Hz and half a sampling interval",
        assumed=Assumed(1e-3, 0.0, 0.1, "assumed: a low-pass of 200 Hz and half a sampling interval")),
     _P("homed_friction", "", "friction that homing finds where it is what was identified", 1.0, 0.5, 2.0,
-       "assumed: the model is the bench", calibration="homed_friction",
+       "assumed: the model is the bench",
        assumed=Assumed(1.0, 0.5, 2.0, "assumed: the model is the bench")),
     _P("homed_softness", "", "stretch that homing finds where it is what was identified", 1.0, 0.5, 2.0,
-       "assumed: the model is the bench", calibration="homed_softness",
+       "assumed: the model is the bench",
        assumed=Assumed(1.0, 0.5, 2.0, "assumed: the model is the bench")),
 )
 
@@ -437,8 +433,8 @@ ESTIMATED: Final[Mapping[str, Parameter]] = {n: p for n, p in PARAMETERS.items()
 """Parameters that a fit estimates, of the simulation or of a rig."""
 BY_PLANT: Final[Mapping[str, str]] = {key: p.name for p in PARAMETERS.values() for key in p.plant.split()}
 """Names by "table.key" of a plant model."""
-BY_CALIBRATION: Final[Mapping[str, str]] = {p.calibration: p.name for p in PARAMETERS.values() if p.calibration}
-"""Names by a calibration's scalar."""
+CALIBRATED: Final = frozenset(name for name, p in PARAMETERS.items() if p.assumed is not None)
+"""Names of a calibration's scalars."""
 
 def declared(name: str) -> Any:
     """Declare a field of a table of the simulation: nominal value, unit, meaning, bounds and source of `name`."""
@@ -451,13 +447,8 @@ def assumed(name: str) -> Any:
     p = PARAMETERS[name]
     if p.assumed is None:
         raise ValueError(f"{name} is no scalar of a calibration")
-    unit = CALIBRATION_UNITS.get(name, p.unit)
-    return parameter(p.assumed.value, unit, p.assumed.meaning or p.meaning, low=p.assumed.low, high=p.assumed.high,
+    return parameter(p.assumed.value, p.unit, p.assumed.meaning or p.meaning, low=p.assumed.low, high=p.assumed.high,
                      source=p.assumed.source)
-
-
-CALIBRATION_UNITS: Final[Mapping[str, str]] = {"fabric_wrap": "rad/rad"}
-"""Units that a calibration's file writes otherwise."""
 
 
 def nominal() -> dict[str, float]:

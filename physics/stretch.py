@@ -28,7 +28,7 @@ class Stretch(Protocol):
     def stiffness_b(self) -> float: ...
 
     @property
-    def stiffness_c(self) -> float: ...
+    def rope_zero(self) -> float: ...
 
     @property
     def stretch_short(self) -> float: ...
@@ -58,7 +58,7 @@ def coefficients(of: Stretch) -> tuple[float, float, float]:
     short, wide = of.stretch_short, of.stretch_wide
     quadratic, linear, constant = (
         own - short * by_short - wide * by_wide
-        for own, by_short, by_wide in zip((of.stiffness_a, of.stiffness_b, of.stiffness_c), _SHORT, _WIDE, strict=True))
+        for own, by_short, by_wide in zip((of.stiffness_a, of.stiffness_b, of.rope_zero), _SHORT, _WIDE, strict=True))
     return constant, quadratic, linear
 
 

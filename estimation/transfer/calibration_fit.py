@@ -27,7 +27,6 @@ from parameters import InputError
 from physics import correlation, inverse, stretch
 from physics.calibration import Calibration, ScalarEvidence
 from physics.laws import Array
-from physics.parameters import BY_CALIBRATION
 
 POINT_M = 0.4e-3
 """Rope travel, m, that is averaged into one point of the joint fit."""
@@ -91,16 +90,16 @@ END_LAG = "end_lag"
 """The one unknown of the fit that no calibration keeps: END is not in the loop."""
 _UNKNOWNS = (
     _Unknown("stiffness_a", 1e-7, -2e-5, 0.0), _Unknown("stiffness_b", 1e-5, 2e-5, 2e-3),
-    _Unknown("stiffness_c", 1e-4, -0.5, 0.5), _Unknown("stretch_short", 1e-5, -1e-4, 4e-3, 2e-4),
+    _Unknown("rope_zero", 1e-4, -0.5, 0.5), _Unknown("stretch_short", 1e-5, -1e-4, 4e-3, 2e-4),
     _Unknown("stretch_wide", 1e-5, -1e-4, 2e-3, 2e-4), _Unknown("cable_compliance", 1e-5, 2e-6, 2e-4),
     _Unknown("fabric_share", 0.1, 0.02, 0.98, 0.3), _Unknown("cable_exponent", 0.05, 0.0, 1.0),
-    _Unknown("fabric_friction", 0.05, 0.0, 1.0), _Unknown("wrap_offset", 0.2, 0.0, 6.0, 0.3),
+    _Unknown("mu2", 0.05, 0.0, 1.0), _Unknown("phi0", 0.2, 0.0, 6.0, 0.3),
     _Unknown("presliding", 5e-5, 1e-5, 3e-3), _Unknown("fabric_presliding", 5e-5, 1e-5, 3e-3),
-    _Unknown("swing_k", 1e-3, 0.005, 0.2), _Unknown("load_slope", 0.1, -0.6, 1.0, 0.2),
+    _Unknown("rope_per_knee", 1e-3, 0.005, 0.2), _Unknown("load_slope", 0.1, -0.6, 1.0, 0.2),
     _Unknown("viscous", 5.0, 0.0, 100.0, 20.0), _Unknown("viscous_tension", 5.0, 0.5, 60.0, 15.0),
     _Unknown("breakaway", 0.1, 0.0, 3.0, 0.5),
-    _Unknown("fabric_breakaway", 0.1, 0.0, 3.0, 0.5), _Unknown("breakaway_speed", 5e-3, 2e-3, 0.05, 0.01),
-    _Unknown("breakaway_memory", 5e-3, 0.01, 0.1, 0.03), _Unknown("start_lag", 5e-4, 0.0, 0.02, 1e-3),
+    _Unknown("fabric_breakaway", 0.1, 0.0, 3.0, 0.5), _Unknown("stribeck_speed", 5e-3, 2e-3, 0.05, 0.01),
+    _Unknown("stribeck_memory", 5e-3, 0.01, 0.1, 0.03), _Unknown("start_lag", 5e-4, 0.0, 0.02, 1e-3),
     _Unknown("start_gain", 5e-3, 0.98, 1.02, 0.004),
     _Unknown(END_LAG, 5e-4, 0.0, 0.02, 1e-3),
 )
@@ -207,14 +206,14 @@ def loops(
     found = solved(start, high)
     if max(found.x[_place("breakaway")], found.x[_place("fabric_breakaway")]) > SEEN_BREAKAWAY:
         longer = start.copy()
-        longer[_place("breakaway_memory")] = MEMORY_S
+        longer[_place("stribeck_memory")] = MEMORY_S
         found = min(found, solved(longer, high), key=lambda each: float(each.cost))
-    if _ended(found.x, low, high)[_place("breakaway_speed")]:
+    if _ended(found.x, low, high)[_place("stribeck_speed")]:
         none = high.copy()
         none[[_place("breakaway"), _place("fabric_breakaway")]] = NONE
         moved = found.x.copy()
-        moved[_place("breakaway_speed")] = start[_place("breakaway_speed")]
-        moved[_place("breakaway_memory")] = start[_place("breakaway_memory")]
+        moved[_place("stribeck_speed")] = start[_place("stribeck_speed")]
+        moved[_place("stribeck_memory")] = start[_place("stribeck_memory")]
         found = solved(moved, none)
     sizes = [len(_residual(guess, segment, stiff, 0.0)) for segment in data]
     rows = sum(sizes)
@@ -227,7 +226,7 @@ def loops(
     evidence = {u.name: ScalarEvidence(float(value - by), float(value + by), repeatability=float(again))
                 for u, value, by, again in zip(_UNKNOWNS, found.x, half, scatter, strict=True) if u.name != END_LAG}
     known = [i for i, u in enumerate(_UNKNOWNS) if u.name != END_LAG and np.isfinite(half[i])]
-    together = correlation.of_covariance([BY_CALIBRATION[_UNKNOWNS[i].name] for i in known],
+    together = correlation.of_covariance([_UNKNOWNS[i].name for i in known],
                                          covariance[np.ix_(known, known)])
     to = max(float(segment.start.max()) for segment in data)
     return dataclasses.replace(_with(guess, found.x), identified_to=to, correlation=together), evidence

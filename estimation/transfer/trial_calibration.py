@@ -24,7 +24,7 @@ from physics.calibration import Calibration, ScalarEvidence, nominal
 from physics.conversions import UNRELATED, converted, to_scalars
 from physics.force_path import KNEE_RAD
 from physics.laws import Array
-from physics.parameters import BY_CALIBRATION, PARAMETERS
+from physics.parameters import PARAMETERS
 from physics.path_constants import LOAD_PER_STEP
 from physics.path_parameters import simulation_values
 
@@ -53,10 +53,10 @@ def scalars_of(path: Values) -> dict[str, float]:
     known = to_scalars({**converted(UNRELATED, values), **values})
     known.pop("home_preload", None)
     wrap = min(max(path["wrap"], WRAP[0]), WRAP[1])
-    known |= {"fabric_friction": path["fabric"] * (1.0 + LOAD_PER_STEP * path["load"]) * wrap,
-              "wrap_offset": 1.0 / wrap + KNEE_RAD, "wrap_slope": 1.0, "fabric_breakaway": path["fabric_rest"],
+    known |= {"mu2": path["fabric"] * (1.0 + LOAD_PER_STEP * path["load"]) * wrap,
+              "phi0": 1.0 / wrap + KNEE_RAD, "fabric_wrap": 1.0, "fabric_breakaway": path["fabric_rest"],
               "breakaway": path["cable_rest"], "start_lag": path["start_lag"], "fabric_share": path["before"]}
-    bounds = {name: PARAMETERS[BY_CALIBRATION[name]].assumed for name in known}
+    bounds = {name: PARAMETERS[name].assumed for name in known}
     return {name: value if (row := bounds[name]) is None else min(max(value, row.low), row.high)
             for name, value in known.items()}
 
@@ -74,10 +74,10 @@ def calibrated(trials: Sequence[Table], start: Mapping[str, Any], sigma: Values,
     ramps = [_segment(given, "ramp") for given in trials]
     found, proof = calibration_fit.loops(ramps, guess, still)
     more: dict[str, Any] = {"start_offset": still.start_offset, "start_noise": still.start_noise,
-                            "swing_p": float(stretch.position(found, HELD_N)) - found.swing_k * float(
+                            "swing_p": float(stretch.position(found, HELD_N)) - found.rope_per_knee * float(
                                 laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))}
     if all("servo_target_m" in given for given in trials):
-        more["drive_bandwidth"] = calibration_fit.bandwidth(ramps).value
+        more["servo_bandwidth"] = calibration_fit.bandwidth(ramps).value
     found = dataclasses.replace(found, **more)
     homings = [calibration_fit.homed(homing, found, still) for given in trials
                if (homing := _homing(given)) is not None]

@@ -96,7 +96,7 @@ def correction(calibration: Calibration, gait: GaitTable, rest: Effects, terms: 
     if not rest and not terms:
         return None
     base = _course(calibration, gait)
-    known = {"mu2": calibration.fabric_friction, "fabric_wrap": calibration.wrap_slope}
+    known = {"mu2": calibration.mu2, "fabric_wrap": calibration.fabric_wrap}
     met, home = (undone(compensate(course, rest, known), terms, gait.samples) for course in (base, _homed(calibration)))
     if adapts:
         measured = calibration.cable_exponent + float(fabric_exponent(calibration, KNEE_AT_FIT))
@@ -125,7 +125,7 @@ def _exponent(course: Trajectory) -> Array:
 
 def _fabric(calibration: Calibration, force: Array) -> Array:
     """Stretch of the fabric alone, m."""
-    whole = stretch(calibration, force) - calibration.stiffness_c
+    whole = stretch(calibration, force) - calibration.rope_zero
     return np.asarray(whole - calibration.cable_compliance * force)
 
 

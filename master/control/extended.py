@@ -126,8 +126,8 @@ class ExtendedConfig:
 def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedance: Impedance) -> ExtendedConfig:
     """Fold the constants from a calibration, what homing found of the day, the gait and the impedance."""
     decay = math.exp(-impedance.stiffness_n_m / impedance.damping_n_s_m * gait.period_s)
-    lag = 1.0 / (2.0 * math.pi * calibration.drive_bandwidth) / gait.period_s
-    ahead = max(TARGET_CYCLES, round(calibration.loop_delay / gait.period_s))
+    lag = 1.0 / (2.0 * math.pi * calibration.servo_bandwidth) / gait.period_s
+    ahead = max(TARGET_CYCLES, round(calibration.servo_delay / gait.period_s))
     return ExtendedConfig(
         gait=gait,
         law=inverse.law(calibration, gait.period_s, day.friction, day.softness),
@@ -227,7 +227,7 @@ def trusted(error_n: float, doubt_n: float) -> float:
 def _side(state: ExtendedState, here: Ahead, gait: GaitTable, now: int) -> float:
     """−1…1: where in its play the leg is; while none is known, behind the way that the knee moves."""
     if state.followed.play > 0.0:
-        return here.leg * state.law.swing_k / state.followed.play
+        return here.leg * state.law.rope_per_knee / state.followed.play
     moved = gait.knee[(now + 1) % gait.samples] - gait.knee[now - 1]
     return -math.copysign(1.0, moved) if moved else 0.0
 
@@ -243,7 +243,7 @@ def look_ahead(
     then = (now + cycles) % gait.samples
     speed = (departures[-1] - departures[0]) / (DEPARTURES - 1)
     knee = gait.knee[then] + departures[-1] + cycles * speed
-    half = state.followed.play / state.law.swing_k
+    half = state.followed.play / state.law.rope_per_knee
     moved = 0.0 if math.isnan(state.leg[1]) else knee - state.leg[1]
     behind = min(half, max(-half, state.leg[0] - moved))
     position, start, by_sheath, by_knee, sheath_slow, knee_slow, slip = inverse.inverse(

@@ -58,7 +58,7 @@ def samples_of(gait_period_s: float, rate_hz: int) -> int:
 def stretch(calibration: Calibration, force_n: Any) -> Any:
     """x1 of (10), m, with the calibration's coefficients; beyond the turning point it stays at its top."""
     force = np.minimum(force_n, calibration.turning_point_n)
-    return (calibration.stiffness_a * force + calibration.stiffness_b) * force + calibration.stiffness_c
+    return (calibration.stiffness_a * force + calibration.stiffness_b) * force + calibration.rope_zero
 
 
 def slope(calibration: Calibration, force_n: Any) -> Any:
@@ -68,12 +68,12 @@ def slope(calibration: Calibration, force_n: Any) -> Any:
 
 def swing(calibration: Calibration, knee_rad: Any) -> Any:
     """k2·(θk − θk(13 %)), m: (11) in the encoder zero of (10)."""
-    return calibration.swing_k * (knee_rad - laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
+    return calibration.rope_per_knee * (knee_rad - laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
 
 
 def fabric_exponent(calibration: Calibration, knee_rad: Any) -> Any:
     """μ2·φ with the wrap φ = φ0 + κ·|θk|."""
-    return calibration.fabric_friction * (calibration.wrap_offset + calibration.wrap_slope * np.abs(knee_rad))
+    return calibration.mu2 * (calibration.phi0 + calibration.fabric_wrap * np.abs(knee_rad))
 
 
 def directions(speed: Array, still: float) -> Array:

@@ -35,7 +35,7 @@ class PaperConfig:
     """Constants of `step`, computed once from calibration, gait and impedance."""
 
     gait: GaitTable
-    swing_k: float
+    rope_per_knee: float
     knee_home_rad: float
     cable_exponent: float
     fabric_offset: float
@@ -54,11 +54,11 @@ def configure(
     decay = math.exp(-impedance.stiffness_n_m / impedance.damping_n_s_m * gait.period_s)
     return PaperConfig(
         gait=gait,
-        swing_k=calibration.swing_k,
+        rope_per_knee=calibration.rope_per_knee,
         knee_home_rad=float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT)),
         cable_exponent=calibration.cable_exponent,
-        fabric_offset=calibration.fabric_friction * calibration.wrap_offset,
-        fabric_slope=calibration.fabric_friction * calibration.wrap_slope,
+        fabric_offset=calibration.mu2 * calibration.phi0,
+        fabric_slope=calibration.mu2 * calibration.fabric_wrap,
         cable_compliance=calibration.cable_compliance,
         start_offset_n=calibration.start_offset,
         compensates=compensates,
@@ -82,7 +82,7 @@ def step(seen: ControllerInput, state: PaperState, config: PaperConfig) -> tuple
     estimated = (seen.start_n - config.start_offset_n) / ratio
     error = desired - estimated if slack == 0.0 else 0.0
     deviation = config.decay * state.deviation_m + config.gain_m_n * error
-    feedforward = gait.stretch[i] + config.swing_k * (knee - config.knee_home_rad)
+    feedforward = gait.stretch[i] + config.rope_per_knee * (knee - config.knee_home_rad)
     if config.compensates:
         feedforward += config.cable_compliance * gait.loss[i]
     target = feedforward + deviation - slack

@@ -35,7 +35,7 @@ def crossing_rad_s(lag_s: float, delay_s: float) -> float:
 def gain_margin(calibration: Calibration, impedance: Impedance, period_s: float, peak_n: float) -> float:
     """Factor by which the loop's gain may grow before it is unstable, at the stiffest desired force."""
     stiff_n_m = 1.0 / float(slope(calibration, min(peak_n, 0.98 * calibration.turning_point_n)))
-    lag_s, delay_s = 1.0 / (2.0 * math.pi * calibration.drive_bandwidth), DELAY_CYCLES * period_s
+    lag_s, delay_s = 1.0 / (2.0 * math.pi * calibration.servo_bandwidth), DELAY_CYCLES * period_s
     s = 1j * crossing_rad_s(lag_s, delay_s)
     loop = stiff_n_m * cmath.exp(-s * delay_s) / (1.0 + s * lag_s)
     return abs(impedance.damping_n_s_m * s + impedance.stiffness_n_m) / abs(loop)

@@ -42,12 +42,12 @@ SUSPECTS: Final = (
     Suspect(START, "START", frozenset({RATIO, FORCE, BY_START})),
     Suspect(END, "END, or a rope that slipped or snapped", frozenset({RATIO, BY_END})),
     Suspect(SERVO, "the servo's torque, or START with its path", frozenset({FORCE})),
-    Suspect(NOBODY, "servo position, knee angle, a rope that slipped or snapped, or the calibration's swing_k",
+    Suspect(NOBODY, "servo position, knee angle, a rope that slipped or snapped, or the calibration's rope_per_knee",
             frozenset({BY_START, BY_END})),
     Suspect(NOBODY, "START or END, or a path between them that is jammed", frozenset({RATIO})),
     Suspect(START, "START, or a path that is jammed", frozenset({RATIO, BY_START})),
-    Suspect(START, "START, servo position, knee angle, or the calibration's swing_k", frozenset({BY_START})),
-    Suspect(END, "END, servo position, knee angle, or the calibration's swing_k", frozenset({BY_END})),
+    Suspect(START, "START, servo position, knee angle, or the calibration's rope_per_knee", frozenset({BY_START})),
+    Suspect(END, "END, servo position, knee angle, or the calibration's rope_per_knee", frozenset({BY_END})),
 )
 """Suspects, in the order in which they are named if patterns are equally near."""
 _TEXTS: Final[Mapping[int, tuple[str, float, str]]] = MappingProxyType({
@@ -90,9 +90,9 @@ def blamed(finding: Implausibility, path: PathNodes) -> StopError:
                                                f"{_degrees(expected):.1f}° to {_degrees(seen):.1f}°", path.knee)
     suspect = suspected(finding)
     what, scale, unit = _TEXTS[relation]
-    swing = finding.swing_k_fits - finding.swing_k
-    fits = (f" (swing_k = {finding.swing_k:.4f} m/rad, {finding.swing_k_fits:.4f} would fit)"
-            if abs(swing) > 0.1 * finding.swing_k else "")
+    swing = finding.rope_per_knee_fits - finding.rope_per_knee
+    fits = (f" (rope_per_knee = {finding.rope_per_knee:.4f} m/rad, {finding.rope_per_knee_fits:.4f} would fit)"
+            if abs(swing) > 0.1 * finding.rope_per_knee else "")
     return StopError(Condition.IMPLAUSIBLE, f"{suspect.words}: {what} is {scale * seen:.1f} {unit}, "
                                             f"expected about {scale * expected:.1f} {unit}{fits}",
                      0 if suspect.place == NOBODY else path[suspect.place])

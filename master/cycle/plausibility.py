@@ -52,7 +52,7 @@ NORMAL_FORCE = RING + 4 * WINDOW
 NORMAL_STRETCH = NORMAL_FORCE + FORCE_TERMS * (FORCE_TERMS + 1)
 STATES = NORMAL_STRETCH + STRETCH_TERMS * (STRETCH_TERMS + 1)
 
-(PERIOD_S, BANDWIDTH, CYCLES, LEARNED, SWING_K, KNEE_HOME, ROPE_COMPLIANCE, PRESLIDING, INERTIA, COULOMB, VISCOUS,
+(PERIOD_S, BANDWIDTH, CYCLES, LEARNED, ROPE_PER_KNEE, KNEE_HOME, ROPE_COMPLIANCE, PRESLIDING, INERTIA, COULOMB, VISCOUS,
  OFFSET, C0, C1, C2, TOP_N, LOW, HIGH, KNOWN_FLOW, WITH_END, WITH_KNEE, SETTINGS) = range(22)
 
 LEARNING, LEARNT = 0.0, 1.0
@@ -235,7 +235,7 @@ def _one_stretch(
     bent = max(0.0, g[C1] + g[C2] * g[TOP_N] - _slope(g, g[TOP_N])) * max(0.0, force - g[TOP_N])
     room_n = STRETCH_N + RATIO_N_S_M * s[SPEED] + spread * max(force, 0.0)
     room = (STRETCH_M + _slope(g, force) * room_n + BEYOND * 1e-3 * beyond + bent
-            + SWING_SHARE * g[SWING_K] * abs(knee - g[KNEE_HOME]))
+            + SWING_SHARE * g[ROPE_PER_KNEE] * abs(knee - g[KNEE_HOME]))
     if force < TAUT_N + RATIO_N_S_M * s[SPEED] and stretch < expected:
         stretch = expected
     _compare(s, relation, stretch, expected, room)
@@ -243,7 +243,7 @@ def _one_stretch(
 
 @njit(inline="always")
 def _stretch(s: Any, g: Any, middle: float, position: float, knee: float, start: float, end: float) -> None:
-    stretch = position - g[SWING_K] * (knee - g[KNEE_HOME]) - g[ROPE_COMPLIANCE] * start
+    stretch = position - g[ROPE_PER_KNEE] * (knee - g[KNEE_HOME]) - g[ROPE_COMPLIANCE] * start
     if g[LEARNED] == LEARNING:
         if start > TAUT_N and end > TAUT_N and abs(knee - g[KNEE_HOME]) < 0.05:
             mean = math.sqrt(start * end)
@@ -328,8 +328,8 @@ class Implausibility(NamedTuple):
     seen: float
     expected: float
     ratios: tuple[float, ...]
-    swing_k: float = 0.0
-    swing_k_fits: float = 0.0
+    rope_per_knee: float = 0.0
+    rope_per_knee_fits: float = 0.0
     """The calibration's rope by radian of the knee, m/rad, and the one for which the stretch would be as expected."""
     frozen: bool = False
     """The servo's position has repeated itself to the last bit while its target moved on."""
@@ -412,7 +412,7 @@ class Plausibility:
         """Return the present residuals of all relations."""
         s, g = self.s, self.g
         seen, expected = float(s[READINGS + 2 * relation]), float(s[READINGS + 2 * relation + 1])
-        swing, bent = float(g[SWING_K]), float(s[OLD_KNEE] - g[KNEE_HOME])
+        swing, bent = float(g[ROPE_PER_KNEE]), float(s[OLD_KNEE] - g[KNEE_HOME])
         fits = swing + (seen - expected) / bent if relation in (BY_START, BY_END) and abs(bent) > 0.1 else swing
         frozen = bool(s[SAME_SERVO] >= FROZEN and abs(s[PREDICTED] - s[LED_SERVO]) > FROZEN_M)
         return Implausibility(relation, seen, expected, tuple(float(value) for value in s[RATIOS:RATIOS + RELATIONS]),
@@ -438,10 +438,10 @@ class Plausibility:
         ratio = found / (linear * way + quadratic * square) if g[WITH_END] else math.nan
         return Learned(math.sqrt(squares), float(s[RISE_LOW]), float(s[RISE_HIGH]), float(ratio), top)
 
-    def begin_learning(self, swing_k: float, knee_home: float, compliance: float) -> None:
+    def begin_learning(self, rope_per_knee: float, knee_home: float, compliance: float) -> None:
         """Restart the identification from a calibration's geometry, before the pull of homing."""
         g, s = self.g, self.s
-        g[SWING_K], g[KNEE_HOME], g[ROPE_COMPLIANCE], g[LEARNED] = swing_k, knee_home, compliance, LEARNING
+        g[ROPE_PER_KNEE], g[KNEE_HOME], g[ROPE_COMPLIANCE], g[LEARNED] = rope_per_knee, knee_home, compliance, LEARNING
         s[NORMAL_FORCE:STATES] = 0.0
         s[[FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES, TRUSTED, RISE_LOW, RISE_HIGH, MOST_FLOW]] = 0.0
 

@@ -26,7 +26,7 @@ from trial.signals import joined
 
 T = TypeVar("T")
 
-SWING_K: Final = nominal().swing_k
+ROPE_PER_KNEE: Final = nominal().rope_per_knee
 """Rope by angle, m/rad, by which the slack rope of a resting path goes along with its joint: the packaged lever."""
 
 
@@ -194,7 +194,7 @@ class SharedExchange:
         servo, knee = path.targets
         led = knee if joint_rad is None else path.mirrored(joint_rad)
         if given is None:
-            return Answer(servo + SWING_K * (led - knee), led)
+            return Answer(servo + ROPE_PER_KNEE * (led - knee), led)
         return given._replace(knee_rad=led)
 
     def _send(self) -> bool:

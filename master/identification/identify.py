@@ -202,16 +202,16 @@ def calibrate(what: str, segments: Sequence[Segment], guess: Calibration, *, ben
     told |= {name: (seen.value, seen.evidence) for name, seen in calibration_fit.start_at_rest(segments).items()}
     kinds = procedure(what)
     if "stiffness" in kinds:
-        told |= _named(("stiffness_a", "stiffness_b", "stiffness_c"),
+        told |= _named(("stiffness_a", "stiffness_b", "rope_zero"),
                        calibration_fit.stiffness(segments, still.start_offset))
         drive = calibration_fit.bandwidth(segments)
-        told["drive_bandwidth"] = drive.value, drive.evidence
+        told["servo_bandwidth"] = drive.value, drive.evidence
     if "swing" in kinds:
-        told |= _named(("swing_k", "swing_p"), calibration_fit.swing(segments))
+        told |= _named(("rope_per_knee", "swing_p"), calibration_fit.swing(segments))
     if "ramp" in kinds:
         fitted, intervals = calibration_fit.loops(segments, _replaced(guess, told), still)
         for name, interval in intervals.items():
-            if name == "swing_k" and "swing" not in kinds:
+            if name == "rope_per_knee" and "swing" not in kinds:
                 continue
             r_squared = told[name][1].r_squared if name in told else math.nan
             told[name] = getattr(fitted, name), dataclasses.replace(interval, r_squared=r_squared)
@@ -353,7 +353,7 @@ class _Experiments:
         swing_to(exchange, SWING_FROM_RAD, self.identification.guess, self.identification.homing)
         self._reel(exchange, LOW_N)
         self._record(exchange, "swing", lambda: swing_held(
-            exchange, self.identification.guess.swing_k, LOW_N, _swings(exchange.wire.period_ns * 1e-9)))
+            exchange, self.identification.guess.rope_per_knee, LOW_N, _swings(exchange.wire.period_ns * 1e-9)))
 
     def _reel(self, exchange: Exchange, *forces_n: float) -> None:
         """Pull to each START force, N, in turn; a negative one is released to."""

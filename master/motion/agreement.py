@@ -23,30 +23,30 @@ wrong by a factor of ten is outside."""
 CENTRE: Final = 0.45
 """|mean of ln(START/END)| of pull and release, zero by friction alone; ln 2 is a gain of two."""
 FORCE_RMS_N: Final = 6.0
-PACKAGED_SWING_K: Final = nominal().swing_k
-"""Rope per knee angle, m/rad, of a human-sized knee: the packaged calibration's swing_k."""
+PACKAGED_ROPE_PER_KNEE: Final = nominal().rope_per_knee
+"""Rope per knee angle, m/rad, of a human-sized knee: the packaged calibration's rope_per_knee."""
 SWING_UNLIKE: Final = 0.25
-"""Relative departure from `PACKAGED_SWING_K` beyond which homing measures swing_k; usual benches stay within 0.15."""
+"""Relative departure from `PACKAGED_ROPE_PER_KNEE` beyond which homing measures it; usual benches stay within 0.15."""
 SWING: Final = 0.2
-"""Greatest relative difference between homing's swing_k and a calibration's."""
+"""Greatest relative difference between homing's rope_per_knee and a calibration's."""
 
 
 def unlike_packaged(calibration: Calibration) -> bool:
     """Return whether the calibration's lever is so unusual that homing must measure it first."""
-    return abs(calibration.swing_k / PACKAGED_SWING_K - 1.0) > SWING_UNLIKE
+    return abs(calibration.rope_per_knee / PACKAGED_ROPE_PER_KNEE - 1.0) > SWING_UNLIKE
 
 
 def refuse_swing(calibration: Calibration, found: float) -> None:
-    """Raise `BringUpError`, with both numbers, where homing `found` another swing_k, m/rad, than the calibration's."""
-    if abs(found / calibration.swing_k - 1.0) > SWING:
+    """Raise `BringUpError`, with both numbers, if homing `found` a rope_per_knee, m/rad, unlike the calibration's."""
+    if abs(found / calibration.rope_per_knee - 1.0) > SWING:
         raise BringUpError(
-            f"calibration {calibration.label}: its swing_k is {calibration.swing_k:.4f} m/rad, homing found "
-            f"{found:.4f} m/rad; identify this bench (bowden identify all) and start again.")
+            f"calibration {calibration.label}: its rope_per_knee is {calibration.rope_per_knee:.4f} m/rad, homing "
+            f"found {found:.4f} m/rad; identify this bench (bowden identify all) and start again.")
 
 
 def begin(exchange: Exchange, calibration: Calibration, knee_home_rad: float) -> None:
     """Begin the identification of stretch, friction and inertia from the homing motion that follows."""
-    exchange.plausibility.begin_learning(calibration.swing_k, knee_home_rad, calibration.cable_compliance)
+    exchange.plausibility.begin_learning(calibration.rope_per_knee, knee_home_rad, calibration.cable_compliance)
 
 
 def refuse_disagreement(exchange: Exchange, calibration: Calibration, *, guessed: bool = False) -> None:

@@ -117,7 +117,7 @@ CHECKS: Final = (
     Check("homing: stretch", "rope, START, END", f"factor {agreement.STRETCH:g}, {agreement.STRETCH_NOMINAL:g} for the "
           "packaged calibration", "session and creep change it by a tenth", C.REFUSED, NOBODY,
           "test_a_calibration_of_another_bench_is_refused_before_motion_with_both_numbers"),
-    Check("homing: swing_k", "rope, knee", f"{100 * agreement.SWING:.0f} %, measured where it is more than "
+    Check("homing: rope_per_knee", "rope, knee", f"{100 * agreement.SWING:.0f} %, measured where it is more than "
           f"{100 * agreement.SWING_UNLIKE:.0f} % from the packaged one", "levers of knees", C.REFUSED, NOBODY,
           "test_a_calibration_of_another_bench_is_refused_before_motion_with_both_numbers"),
     Check("homing: START by END", "START, END", f"factor {math.exp(agreement.CENTRE):.2f} in the middle",

@@ -213,7 +213,7 @@ class Planned:
         if not experiment.dry_run:
             drives.enable(exchange)
             self.home(exchange)
-            gait.approach(exchange, table, self.first, experiment.homing, self.calibration.swing_k)
+            gait.approach(exchange, table, self.first, experiment.homing, self.calibration.rope_per_knee)
         elif not exchange.knee_driven:
             moves.follow_joint(exchange, table.knee[self.first], 0.0, experiment.homing.knee_rad_s)
         self.watch(exchange)

@@ -62,13 +62,13 @@ def run_in_sample(gait: GaitTable) -> int:
     return resting_sample(gait, min(idle, gait.samples - 2), gait.samples)
 
 
-def approach(exchange: Exchange, gait: GaitTable, sample: int, homing: Homing, swing_k: float) -> None:
+def approach(exchange: Exchange, gait: GaitTable, sample: int, homing: Homing, rope_per_knee: float) -> None:
     """Move to the place that the tables have at `sample`, the rope slack all the way.
 
-    `swing_k`: rope by knee angle, m/rad.
+    `rope_per_knee`: rope by knee angle, m/rad.
     """
     if not exchange.knee_driven:
-        moves.follow_joint(exchange, gait.knee[sample], swing_k, homing.knee_rad_s)
+        moves.follow_joint(exchange, gait.knee[sample], rope_per_knee, homing.knee_rad_s)
     servo = gait.stretch[sample] + gait.swing[sample] - gait.slack[sample]
     moves.move(exchange, servo, gait.knee[sample], HURRY * homing.rope_m_s, homing.knee_rad_s)
 

@@ -34,8 +34,8 @@ HOLD_GAIN_M_S_N, HOLD_FILTER_S = 3e-3, 5e-3
 BRISK = 4.0
 """Speed of a slack rope relative to that of a rope under tension."""
 SWING_CHECK_RAD = 0.15
-"""Shift of the rope by a swing of 6 mm at the packaged swing_k: ten times the error of a loop's middle by friction,
-within any knee's limits."""
+"""Shift of the rope by a swing of 6 mm at the packaged rope_per_knee: ten times the error of a loop's middle by
+friction, within any knee's limits."""
 
 
 LOOP: Final = 2.25
@@ -112,7 +112,7 @@ def _slack(inputs: Inputs) -> bool:
 
 
 def swing_held(
-    exchange: Exchange, swing_k: float, force_n: float, angles: Iterable[float],
+    exchange: Exchange, rope_per_knee: float, force_n: float, angles: Iterable[float],
     seen: Callable[[Inputs], None] = lambda _: None,
 ) -> None:
     """Lead the knee through `angles`, rad, with the rope following, START held by an integral of its error.
@@ -128,7 +128,7 @@ def swing_held(
         tension += share * (exchange.inputs.start_n - tension)
         held += HOLD_GAIN_M_S_N * (force_n - tension) * period_s
         led = angle if exchange.knee_driven else exchange.inputs.knee_angle_rad
-        seen(exchange.advance(held + swing_k * (led - knee), angle))
+        seen(exchange.advance(held + rope_per_knee * (led - knee), angle))
 
 
 def undeclared_lag(exchange: Exchange, calibration: Calibration) -> float:
@@ -161,9 +161,9 @@ def swing_to(exchange: Exchange, knee_rad: float, calibration: Calibration, homi
     moves.reel(exchange, -homing.rope_m_s, lambda inputs: inputs.start_n < SLACK_N, homing.reach_m,
                "the rope does not go slack; release it by hand or tare START")
     if not exchange.knee_driven:
-        moves.follow_joint(exchange, knee_rad, calibration.swing_k, homing.knee_rad_s)
+        moves.follow_joint(exchange, knee_rad, calibration.rope_per_knee, homing.knee_rad_s)
     servo, knee = exchange.targets
-    led = servo + calibration.swing_k * (knee_rad - knee)
+    led = servo + calibration.rope_per_knee * (knee_rad - knee)
     moves.move(exchange, led, knee_rad, BRISK * homing.rope_m_s, homing.knee_rad_s)
     moves.settle(exchange, REST_S)
 
@@ -192,12 +192,12 @@ def _loop(exchange: Exchange, homing: Homing) -> tuple[list[Row], list[Row]]:
 def _refuse_other_swing(
     exchange: Exchange, calibration: Calibration, homing: Homing, at_home_m: float, start_gain: float
 ) -> None:
-    """Pull and release at a second knee angle: the shift of the loop's middle is the bench's swing_k.
+    """Pull and release at a second knee angle: the shift of the loop's middle is the bench's rope_per_knee.
 
-    The knee turns in the direction in which a wrong swing_k makes the rope looser than it should be.
+    The knee turns in the direction in which a wrong rope_per_knee makes the rope looser than it should be.
     """
     knee = exchange.targets[1]
-    away = knee + math.copysign(SWING_CHECK_RAD, agreement.PACKAGED_SWING_K - calibration.swing_k)
+    away = knee + math.copysign(SWING_CHECK_RAD, agreement.PACKAGED_ROPE_PER_KNEE - calibration.rope_per_knee)
     swing_to(exchange, away, calibration, homing)
     at = [crossing(rows, start_gain * calibration.home_preload) for rows in _loop(exchange, homing)]
     agreement.refuse_swing(calibration, (sum(at) / 2.0 - at_home_m) / (away - knee))

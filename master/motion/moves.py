@@ -41,10 +41,10 @@ def move(exchange: Exchange, servo_m: float, knee_rad: float, rope_m_s: float, k
     return inputs
 
 
-def follow_joint(exchange: Exchange, knee_rad: float, swing_k: float, knee_rad_s: float) -> Inputs:
+def follow_joint(exchange: Exchange, knee_rad: float, rope_per_knee: float, knee_rad_s: float) -> Inputs:
     """Ask whoever moves a joint without a drive to bring it to an angle; the rope goes along with the measured angle.
 
-    `swing_k`: rope by angle, m/rad.  Raises `BringUpError` for a joint that is not there in `PATIENCE_S`.
+    `rope_per_knee`: rope by angle, m/rad.  Raises `BringUpError` for a joint that is not there in `PATIENCE_S`.
     """
     servo, knee = exchange.targets
     inputs = exchange.inputs
@@ -59,7 +59,7 @@ def follow_joint(exchange: Exchange, knee_rad: float, swing_k: float, knee_rad_s
             exchange.log.event(inputs.sync_ns, "operator", "master",
                                f"bring the {_joint(exchange)} to {math.degrees(knee_rad):.0f} degrees and hold it "
                                f"there; it stands at {math.degrees(inputs.knee_angle_rad):.0f}.")
-        inputs = exchange.advance(servo + swing_k * (inputs.knee_angle_rad - begun),
+        inputs = exchange.advance(servo + rope_per_knee * (inputs.knee_angle_rad - begun),
                                   knee + smooth(min(1.0, step / steps)) * (knee_rad - knee))
     raise BringUpError(f"{_joint(exchange)}: asked to {math.degrees(knee_rad):.1f} degrees, it stands at "
                        f"{math.degrees(inputs.knee_angle_rad):.1f} after {PATIENCE_S:.0f} s: move it there and hold "

@@ -98,7 +98,8 @@ class PlannedPaths:
             rest(path, self.planned[name].homing)
         for name, path in paths.items():
             planned = self.planned[name]
-            gait.approach(path, planned.table, planned.first, planned.experiment.homing, planned.calibration.swing_k)
+            gait.approach(path, planned.table, planned.first, planned.experiment.homing,
+                          planned.calibration.rope_per_knee)
         for name, path in paths.items():
             self.planned[name].watch(path)
         together(exchange, [self._steps(name, path) for name, path in paths.items()])

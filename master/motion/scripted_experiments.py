@@ -101,7 +101,7 @@ class Scripted:
         planned = self.planned
         do(Hold(walk.rest_s), exchange, MotionContext(planned.calibration, planned.experiment.homing))
         gait.approach(exchange, planned.table, gait.run_in_sample(planned.table), planned.experiment.homing,
-                      planned.calibration.swing_k)
+                      planned.calibration.rope_per_knee)
         planned.watch(exchange)
         planned.walk(exchange, self.count)
         self.count += planned.experiment.gait.cycles

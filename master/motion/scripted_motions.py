@@ -45,7 +45,7 @@ def do(motion: Motion, exchange: Exchange, bench: MotionContext) -> None:
         case Knee():
             swing_to(exchange, motion.angle_rad, bench.calibration, bench.homing)
         case Swing():
-            _swing(exchange, motion, bench.calibration.swing_k if motion.rope_follows else 0.0)
+            _swing(exchange, motion, bench.calibration.rope_per_knee if motion.rope_follows else 0.0)
         case _:
             assert_never(motion)
 

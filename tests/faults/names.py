@@ -52,7 +52,7 @@ END_OR_ROPE: Final = implausible("END, or a rope that slipped or snapped")
 BETWEEN: Final = implausible("START or END, or a path between them that is jammed")
 TORQUE_OR_START: Final = implausible("the servo's torque, or START with its path")
 GEOMETRY: Final = implausible(
-    "servo position, knee angle, a rope that slipped or snapped, or the calibration's swing_k")
+    "servo position, knee angle, a rope that slipped or snapped, or the calibration's rope_per_knee")
 DESIRED: Final = implausible("START, END, friction, an encoder, the calibration or the controller")
 PARTED: Final = implausible("START, END, or friction between them")
 ALIKE: Final = implausible(

@@ -157,7 +157,7 @@ def knee_creeps(rad_s: float) -> Act:
 def both_creep(rad_s: float) -> Act:
     """Knee and servo encoder creep in agreement, velocities too: the stretch of the path shows nothing."""
     def act(scene: Scene) -> None:
-        swing = nominal().swing_k
+        swing = nominal().rope_per_knee
         sensed(knee_motor_rad=lambda value, t: value + rad_s * t, knee_motor_rad_s=lambda value, t: value + rad_s,
                servo_position_m=lambda value, t: value + swing * rad_s * t,
                servo_velocity_m_s=lambda value, t: value + swing * rad_s)(scene)

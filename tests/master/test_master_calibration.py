@@ -11,7 +11,7 @@ import pytest
 from parameters import InputError, Remark
 from physics import calibration
 from physics.calibration import Calibration, ScalarEvidence
-from physics.parameters import BY_CALIBRATION
+from physics.older_files import FIRST
 
 
 def written(tmp_path: Path, text: str) -> Path:
@@ -58,13 +58,14 @@ def test_refuses_with_the_reason(tmp_path: Path, old: str, new: str, message: st
 def first_version(made: Calibration) -> str:
     """A file as version 1 had it: [scalars.NAME] with a calibration's own names."""
     text = calibration.write(made).replace("version = 2", "version = 1")
-    for scalar, name in BY_CALIBRATION.items():
-        text = text.replace(f"[parameters.{name}]", f"[scalars.{scalar}]")
+    older = {name: first for first, name in FIRST.items()}
+    for name in calibration.scalars():
+        text = text.replace(f"[parameters.{name}]", f"[scalars.{older.get(name, name)}]")
     return text.replace('unit = "1/rad"', 'unit = "rad/rad"')
 
 
 def test_a_file_of_the_first_version_is_read(tmp_path: Path) -> None:
-    made = dataclasses.replace(calibration.nominal(), swing_k=0.041, breakaway_memory=0.03, bench="7")
+    made = dataclasses.replace(calibration.nominal(), rope_per_knee=0.041, stribeck_memory=0.03, bench="7")
     back = calibration.read(written(tmp_path, first_version(made)), bench="7")
     assert [getattr(back, name) for name in calibration.scalars()] == [
         getattr(made, name) for name in calibration.scalars()]

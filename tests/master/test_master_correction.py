@@ -50,9 +50,9 @@ def test_scalars_go_into_the_calibration_before_homing() -> None:
         "cable_friction": {"mu1": 0.1}, "fabric_friction": {"mu2": 0.2}, "presliding": {"presliding": 4e-4},
         "stribeck": {"stribeck_ratio": 1.4, "stribeck_speed": 0.02}, "end_gain": {"end_gain": 1.05}})
     assert known.cable_exponent == pytest.approx(0.1 * CableParameters().theta1_rad)
-    assert (known.fabric_friction, known.presliding, known.fabric_presliding) == (0.2, 4e-4, 4e-4)
+    assert (known.mu2, known.presliding, known.fabric_presliding) == (0.2, 4e-4, 4e-4)
     assert known.breakaway == pytest.approx(0.4)
-    assert known.breakaway_speed == 0.02
+    assert known.stribeck_speed == 0.02
     assert set(rest) == {"end_gain"}
 
 

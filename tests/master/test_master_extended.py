@@ -170,13 +170,13 @@ def test_feedback_rests_while_the_friction_turns_over() -> None:
 def test_knee_ahead_of_its_reference_is_led() -> None:
     """A knee that runs off at a constant speed is met where it will be when the target acts."""
     config = dataclasses.replace(configured(), gain_m_n=0.0, lag=0.0)
-    state, knee, rope = extended.ExtendedState(config.law), config.gait.knee, nominal().stiffness_c
+    state, knee, rope = extended.ExtendedState(config.law), config.gait.knee, nominal().rope_zero
     for sample in range(1200, 1300):
         off = 0.05 + 0.2 * (sample - 1200) * PERIOD_S
         outputs, state, _ = extended.step(ControllerInput(sample, rope, 0.0, knee[sample] + off, 0.0), state, config)
         rope += 0.1 * (outputs.servo_target_m - rope)
     then = 1299 + config.ahead
-    expected = nominal().stiffness_c - config.gait.slack[then] + nominal().swing_k * (
+    expected = nominal().rope_zero - config.gait.slack[then] + nominal().rope_per_knee * (
         knee[then] + 0.05 + 0.2 * (then - 1200) * PERIOD_S - float(laws.knee_angle(13.0)))
     assert outputs.servo_target_m == pytest.approx(expected, abs=5e-6)
 
@@ -231,8 +231,8 @@ def evidence_of(
     sides = -np.sign(np.roll(knee, -1) - np.roll(knee, 1))
     told, slip, believed = [], tuple(inverse.Slip()), tuple(inverse.Slip())
     for angle, force, side in zip(knee.tolist(), desired.tolist(), sides.tolist(), strict=True):
-        leg = angle + side * followed.play / law.swing_k
-        position, start, *_, slip = inverse.inverse(true, slip, force, angle + side * play_m / true.swing_k)
+        leg = angle + side * followed.play / law.rope_per_knee
+        position, start, *_, slip = inverse.inverse(true, slip, force, angle + side * play_m / true.rope_per_knee)
         _, would, *exponents, believed = inverse.inverse(believed_law, believed, force, leg)
         drag = would - force * math.exp(exponents[0] + exponents[1])
         if abs(believed[0]) > extended.SLIDING and abs(believed[1]) > extended.SLIDING and force > 12.0:
@@ -272,7 +272,7 @@ def test_a_change_of_friction_is_followed(factor: float, offset_m: float) -> Non
 
 
 @pytest.mark.parametrize("wrong", [
-    {"quadratic": -2.2e-6}, {"linear": 2.75e-4}, {"constant": 9.8e-3}, {"swing_k": 0.0412}, {"drag": 1.0e4},
+    {"quadratic": -2.2e-6}, {"linear": 2.75e-4}, {"constant": 9.8e-3}, {"rope_per_knee": 0.0412}, {"drag": 1.0e4},
     {"rope_travel": 4e-4}, {"share": 0.55}, {"short": 5e-5}, {"load_slope": 0.1}])
 def test_an_error_of_the_model_does_not_move_friction(wrong: dict[str, float]) -> None:
     """Friction as homing measured it, the model wrong elsewhere: after ten cycles it is where homing left it, but for
@@ -325,8 +325,8 @@ def test_rows_at_the_start_of_the_loading_are_no_evidence() -> None:
 def test_only_the_products_of_wrap_and_friction_move_the_rope() -> None:
     """κ is not identified, and need not be: another one with the products kept makes the same step."""
     one = nominal()
-    other = dataclasses.replace(one, wrap_slope=2.0 * one.wrap_slope, wrap_offset=2.0 * one.wrap_offset,
-                                fabric_friction=0.5 * one.fabric_friction)
+    other = dataclasses.replace(one, fabric_wrap=2.0 * one.fabric_wrap, phi0=2.0 * one.phi0,
+                                mu2=0.5 * one.mu2)
     assert inverse.law(other, PERIOD_S) == inverse.law(one, PERIOD_S)
 
 

@@ -29,7 +29,7 @@ def test_a_bench_of_another_make_is_controlled_on_another_day(composer: Composer
     found = identify.calibrate("all", segments, nominal(), bench="", date="", trial="test")
     bench = draw(SERIAL)
     true = bench.exponent * (1.0 + bench.load_slope * (40.0 - bench.load_reference) / 40.0)
-    assert found.cable_exponent + found.fabric_friction * (found.wrap_offset + 0.5 * found.wrap_slope) == pytest.approx(
+    assert found.cable_exponent + found.mu2 * (found.phi0 + 0.5 * found.fabric_wrap) == pytest.approx(
         true, rel=0.03)
     ran = composer.run(peak_n=40.0, period_s=2.0, cycles=4, controller="extended", serial=0,
                        plant=f"tests.plants:bench_{SERIAL}_day_1", experiment={"calibration": found})

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from conftest import Composer
 
 BENCH = dataclasses.replace(
-    nominal(), stiffness_a=-1.9e-6, stiffness_b=3.3e-4, cable_exponent=0.15, fabric_friction=0.18, wrap_offset=0.3,
+    nominal(), stiffness_a=-1.9e-6, stiffness_b=3.3e-4, cable_exponent=0.15, mu2=0.18, phi0=0.3,
     presliding=1.2e-4, fabric_presliding=0.9e-4, cable_compliance=3e-5, fabric_share=0.5)
 NOISE_N = 0.05
 
@@ -47,12 +47,12 @@ def test_the_joint_fit_recovers_the_bench() -> None:
     swing = made("swing", np.full(2000, 16.0), -0.6 + 0.5 * np.cos(angles), 9)
     fitted, evidence = calibration_fit.loops(
         [ramps(-0.1, 1), ramps(-0.5, 2), ramps(-1.0, 3), swing], nominal(), Rest(0.0, 0.0, NOISE_N))
-    total = [c.cable_exponent + c.fabric_friction * (c.wrap_offset + 0.5) for c in (fitted, BENCH)]
+    total = [c.cable_exponent + c.mu2 * (c.phi0 + 0.5) for c in (fitted, BENCH)]
     assert total[0] == pytest.approx(total[1], rel=0.03)
     force = np.array([20.0, 40.0, 60.0])
     found, true = (c.stiffness_a * force**2 + c.stiffness_b * force for c in (fitted, BENCH))
     assert found == pytest.approx(true, rel=0.01)
-    assert fitted.swing_k == pytest.approx(BENCH.swing_k, rel=0.005)
+    assert fitted.rope_per_knee == pytest.approx(BENCH.rope_per_knee, rel=0.005)
     assert all(proof.low <= getattr(fitted, name) <= proof.high for name, proof in evidence.items()
                if np.isfinite(proof.low))  # a constant on its bound has no interval
 
@@ -66,12 +66,12 @@ def test_what_breakaway_remembers_and_where_grease_drags_is_found(memory_s: floa
     Height and width of the hump trade against each other: 0.1 of breakaway, at these speeds.
     """
     bench = dataclasses.replace(
-        BENCH, breakaway=0.3, fabric_breakaway=0.05, breakaway_speed=5e-3, breakaway_memory=memory_s, viscous=12.0,
+        BENCH, breakaway=0.3, fabric_breakaway=0.05, stribeck_speed=5e-3, stribeck_memory=memory_s, viscous=12.0,
         viscous_tension=20.0, start_lag=0.0)
     segments = [ramps(knee, 10 * half + i, bench, half) for half in (1000, 250, 125)
                 for i, knee in enumerate((-0.1, -0.5, -1.0))]
     fitted, _evidence = calibration_fit.loops(segments, nominal(), Rest(0.0, 0.0, NOISE_N))
-    assert fitted.breakaway_memory == pytest.approx(memory_s, abs=0.01)
+    assert fitted.stribeck_memory == pytest.approx(memory_s, abs=0.01)
     assert fitted.breakaway == pytest.approx(0.3, abs=0.12)
     assert fitted.viscous == pytest.approx(12.0, rel=0.2)
     assert fitted.viscous_tension == pytest.approx(20.0, rel=0.33)
@@ -79,10 +79,10 @@ def test_what_breakaway_remembers_and_where_grease_drags_is_found(memory_s: floa
 
 def test_the_papers_fits_give_their_coefficients_and_r_squared() -> None:
     force = np.linspace(20.0, 60.0, 500)
-    position = BENCH.stiffness_a * force**2 + BENCH.stiffness_b * force + BENCH.stiffness_c
+    position = BENCH.stiffness_a * force**2 + BENCH.stiffness_b * force + BENCH.rope_zero
     loop = Segment("stiffness", 1e-3, position, position, np.full(500, -0.5), force + 0.3, force)
     line = calibration_fit.stiffness([loop], 0.3)
-    assert line.coefficients == pytest.approx((BENCH.stiffness_a, BENCH.stiffness_b, BENCH.stiffness_c), rel=1e-6)
+    assert line.coefficients == pytest.approx((BENCH.stiffness_a, BENCH.stiffness_b, BENCH.rope_zero), rel=1e-6)
     assert line.r_squared == pytest.approx(1.0)
 
 

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from conftest import Composer
 
 FITTED = {unknown.name for unknown in _UNKNOWNS} - {END_LAG}
-MEASURED = {"swing_p", "drive_bandwidth", "start_noise", "start_offset", "identified_to", "homed_friction",
+MEASURED = {"swing_p", "servo_bandwidth", "start_noise", "start_offset", "identified_to", "homed_friction",
             "homed_softness"}
-PROCEDURE = {"home_preload", "loop_delay"}
+PROCEDURE = {"home_preload", "servo_delay"}
 """What the experiment is: the preload that the zero is homed to, and the two SYNC periods of a target."""
-GAUGE = {"wrap_slope"}
+GAUGE = {"fabric_wrap"}
 """What only a product holds: see `test_only_the_products_of_wrap_and_friction_move_the_rope`."""
 
 

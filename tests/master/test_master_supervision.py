@@ -95,15 +95,15 @@ def test_a_servo_that_was_held_back_needs_time_to_make_up_for_it(limited_m: floa
 def test_a_swing_that_does_not_fit_is_told_with_both_numbers() -> None:
     finding = Implausibility(plausibility.BY_START, 3e-3, 11e-3, ratios(start=-2.0, end=-2.0), 0.0809, 0.0405)
     stop = blamed(finding, PATH)
-    assert "swing_k = 0.0809 m/rad, 0.0405 would fit" in str(stop)
+    assert "rope_per_knee = 0.0809 m/rad, 0.0405 would fit" in str(stop)
 
 
 @pytest.mark.parametrize(("changed", "plant", "said"), [
-    ({"swing_k": 2.0}, None, r"its swing_k is 0\.08\d\d m/rad, homing found 0\.04\d\d m/rad"),
-    ({"swing_k": 0.5}, None, r"its swing_k is 0\.02\d\d m/rad, homing found 0\.0[34]\d\d m/rad"),
+    ({"rope_per_knee": 2.0}, None, r"its rope_per_knee is 0\.08\d\d m/rad, homing found 0\.04\d\d m/rad"),
+    ({"rope_per_knee": 0.5}, None, r"its rope_per_knee is 0\.02\d\d m/rad, homing found 0\.0[34]\d\d m/rad"),
     ({"stiffness_a": 0.5, "stiffness_b": 0.5, "cable_compliance": 0.5}, None,
      r"stretch by 3\.22 mm from 10 to 40 N, homing found 6\.\d\d mm"),
-    ({"swing_k": 1.5}, {"rope_per_knee": 0.0600}, None),
+    ({"rope_per_knee": 1.5}, {"rope_per_knee": 0.0600}, None),
 ])
 def test_a_calibration_of_another_bench_is_refused_before_motion_with_both_numbers(
     composer: Composer, changed: dict[str, float], plant: dict[str, float] | None, said: str | None
@@ -138,7 +138,7 @@ def slid(force_n: Callable[[float], float], seconds: float, viscous: float = 10.
 def watched(rows: list[tuple[float, float]], unfelt_n: float = 0.0) -> Implausibility | None:
     """What is found of a sled with a slack rope, after a homing at 0.05 m/s; `unfelt_n`: tension that START misses."""
     watch, found = Plausibility(1e-3), None
-    watch.begin_learning(swing_k=0.0, knee_home=0.0, compliance=0.0)
+    watch.begin_learning(rope_per_knee=0.0, knee_home=0.0, compliance=0.0)
     slow = slid(lambda t: 0.6 * math.cos(4.0 * t), 4.0)
     for force, place in slow:
         assert watch.check(1.0, (place, 0.0), place, force, 0.0, 0.0, 0.0) is None
@@ -169,7 +169,7 @@ def test_drive_friction_that_bends_beyond_homings_speed_is_no_finding() -> None:
 def test_the_drag_of_a_rope_that_is_much_too_long_is_no_finding(speed_m_s: float, found: bool) -> None:
     """5 N at START with 20 mm of slack: drag where the rope is pulled fast, and a lie where it stands."""
     watch = Plausibility(1e-3)
-    watch.begin_learning(swing_k=0.0, knee_home=0.0, compliance=0.0)
+    watch.begin_learning(rope_per_knee=0.0, knee_home=0.0, compliance=0.0)
     for i in range(2000):
         place = 2.5e-3 * (1.0 - math.cos(3.14e-3 * i))
         watch.check(1.0, (place, 0.0), place, 8e3 * place, 0.0, 8e3 * place, 8e3 * place)

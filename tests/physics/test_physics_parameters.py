@@ -18,7 +18,7 @@ from physics.converter import SensorParameters
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.effects_table import stated
 from physics.older_files import RENAMED
-from physics.parameters import BY_CALIBRATION, BY_PLANT, ESTIMATED, PARAMETERS
+from physics.parameters import BY_PLANT, CALIBRATED, ESTIMATED, PARAMETERS
 from physics.plant.state_layout import PlantParameters
 from virtual_bus.machine import plant_model
 from virtual_bus.machine.scatter import LAWS
@@ -46,9 +46,10 @@ def test_every_field_of_the_simulation_is_a_row() -> None:
 
 def test_every_scalar_of_a_calibration_is_a_row() -> None:
     for name, default, declared in declarations(Calibration):
-        row = PARAMETERS[BY_CALIBRATION[name]]
+        row = PARAMETERS[name]
         assert row.assumed is not None
         assert (default, declared.low, declared.high) == row.assumed[:3]
+    assert set(calibration.scalars()) == CALIBRATED
 
 
 def test_every_parameter_of_an_effect_is_a_row() -> None:
