@@ -67,7 +67,7 @@ def soak(link: Link, nodes: Sequence[int], minutes: float, ended: Callable[[], b
     from master.network.sdo import SdoError
 
     figures = Soak(minutes, {node: [] for node in nodes})
-    errors = link.errors
+    errors = link.controller.count
     end_ns, turn = link.clock() + round(minutes * 60e9), 0
     while link.clock() < end_ns and not ended():
         due_ns = link.clock() + PAUSE_NS
@@ -83,7 +83,7 @@ def soak(link: Link, nodes: Sequence[int], minutes: float, ended: Callable[[], b
                 figures.unanswered += 1
             else:
                 figures.round_trips_ns[node].append(link.clock() - began_ns)
-    figures.error_frames = link.errors - errors
+    figures.error_frames = link.controller.count - errors
     figures.lost = int(getattr(link.bus, "lost", 0))
     return figures
 

@@ -86,7 +86,7 @@ class Guard:
         if inputs.missing:
             self._missed = [(late, inputs.sync_ns) if late else was
                             for late, was in zip(late_in_row, self._missed, strict=True)]
-        if (watch is not None and watch.found) or link.emergencies or link.boots:
+        if (watch is not None and watch.found) or link.emergencies or link.boots or link.controller.events:
             self.heed(inputs.sync_ns, reception)
         if not self.active:
             return
@@ -221,6 +221,7 @@ class Guard:
 
     def _strangers(self) -> StopError | None:
         first: StopError | None = None
+        self._log.controller(self._link.controller)
         watch = self._link.watch
         while watch is not None and watch.found:
             stranger = watch.found.popleft()

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import can
 
 from master.cycle.safety import Condition, StopError
+from master.network.controller_errors import ControllerErrors
 from master.network.link import LinkError, stamp_ns
 from trial.mcap_file.cdr import ERROR, EXTENDED, REMOTE
 from trial.record import RecordingError
@@ -94,6 +95,12 @@ class Log:
                 self._recorder.frames(rows, count, last_ns)
             except _FAILURES as error:
                 self._give_up(error)
+
+    def controller(self, errors: ControllerErrors) -> None:
+        """Record the waiting events of the CAN controller; raises `StopError`."""
+        while errors.events:
+            time_ns, text = errors.events.popleft()
+            self.event(time_ns, "bus", "master", f"{text}.")
 
     def tell_lost(self, time_ns: int) -> None:
         """Record the number of frames lost in the monitor socket's full receive queue, if the interface counts them."""

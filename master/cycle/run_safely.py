@@ -154,8 +154,9 @@ def _text_of(error: Exception) -> str:
 
 
 def _tell_strangers(link: Link, log: Log) -> None:
-    """Log the total number of foreign frames of each kind that was logged once."""
-    for sentence in link.watch.summary() if link.watch is not None else ():
+    """Log the total number of foreign frames and controller errors of each kind that was logged once."""
+    log.controller(link.controller)
+    for sentence in (*(link.watch.summary() if link.watch is not None else ()), *link.controller.summary()):
         log.event(link.clock(), "bus", "master", f"{sentence}.")
 
 

@@ -28,7 +28,7 @@ _RPDOS: Final = (0x200, 0x300, 0x400, 0x500)
 
 def bus(link: Link, wire: WireLayout, listen_ns: int = SURVEY_NS) -> Iterator[DoctorFinding]:
     """Listen, then read each node's identity; raises `LinkError` if the interface fails."""
-    bits, frames, before = 0, 0, link.errors
+    bits, frames, before = 0, 0, link.controller.count
     rival: str | None = None
     for message in link.listen(listen_ns):
         rival = rival or master_sign(message)
@@ -37,8 +37,8 @@ def bus(link: Link, wire: WireLayout, listen_ns: int = SURVEY_NS) -> Iterator[Do
     load = 100.0 * bits / (wire.network.bitrate * listen_ns * 1e-9)
     yield DoctorFinding("bus load", load <= 80.0, f"{load:.1f} % at most, {frames} frames in {listen_ns * 1e-9:g} s",
                         "find who talks so much: candump -td can0")
-    errors = link.errors - before
-    yield DoctorFinding("error frames", not errors, f"{errors} in {listen_ns * 1e-9:g} s",
+    errors, told = link.controller.count - before, [event.text for event in link.controller.events]
+    yield DoctorFinding("error frames", not errors, "; ".join((f"{errors} in {listen_ns * 1e-9:g} s", *told)),
                         "check termination (60 Ω), wiring, ground and that every node has the same bit rate")
     yield DoctorFinding("other masters", rival is None, "none" if rival is None else f"one is there: {rival}",
                         "stop the other master first")

@@ -24,6 +24,7 @@ from eds.cia301 import (
 )
 from master.network.bus_watch import BusWatch
 from master.network.bus_watch import stamp_ns as stamp_ns
+from master.network.controller_errors import ControllerErrors
 from master.network.sdo import Sdo
 
 NS = 1_000_000_000
@@ -33,8 +34,7 @@ SEND_RETRIES = 20
 _TRANSIENT = (errno.ENOBUFS, errno.EAGAIN)
 FAILURES = (can.CanError, OSError)
 """Exceptions of python-can's interfaces when they, or their connection, fail."""
-BUS_OFF = 0x040
-"""Class of an error frame (linux/can/error.h)."""
+BUS_OFF = "the CAN controller is bus-off; check termination, wiring and bit rate, then restart it"
 _NODE_MASK = 0x7F
 WANTED = [{"can_id": 0, "can_mask": 0}]
 """Filters for the master's socket: everything. A bus without faults carries nothing beyond the master's needs, and
@@ -66,7 +66,7 @@ class Link:
     """The master on a python-can bus; `clock` gives ns on the scale of the bus's time stamps.
 
     `beats` holds every node's last heartbeat, `emergencies` the EMCYs that wait to be processed, `boots` the nodes
-    that booted meanwhile. `errors` are the error frames seen, `rivals` the time stamps of another master's NMT.
+    that booted meanwhile. `controller` holds what error frames report, `rivals` the time stamps of another master's NMT.
     `returned`: the interface returns the master's own frames to it, as seen during bring-up. `watch`, if there is
     one, receives every frame that a running bench has no use for. `heartbeat_ms` None is for programs that only read:
     nodes would supervise a master after its first heartbeat. `pump(deadline_ns)` is the wait of an SDO: by receiving,
@@ -84,7 +84,7 @@ class Link:
         self.rivals: deque[int] = deque()
         self.responses: dict[int, bytes] = {}
         self.pump: Callable[[int], object] = self.receive
-        self.errors = 0
+        self.controller = ControllerErrors()
         self.send_failures = 0
         self.watch: BusWatch | None = None
         self.returned = False
@@ -119,7 +119,8 @@ class Link:
                 if clock() >= deadline_ns:
                     return None
             elif message.is_error_frame:
-                self._notice_error(message)
+                if self.controller.hear(message):
+                    raise LinkError(BUS_OFF)
             else:
                 if self.watch is not None:
                     self.watch.hear(message, self._pace_ns > 0)
@@ -160,11 +161,6 @@ class Link:
             self.try_send(paced)
         self._due_ns = min(self._beat_due_ns, self._sync_due_ns) if self._pace_ns else self._beat_due_ns
         return paced
-
-    def _notice_error(self, message: can.Message) -> None:
-        self.errors += 1
-        if message.arbitration_id & BUS_OFF:
-            raise LinkError("the CAN controller is bus-off; check termination, wiring and bit rate, then restart it")
 
     def _notice(self, message: can.Message) -> None:
         can_id = message.arbitration_id

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from eds import error_frames
 from eds.bench.bench_network import END, KNEE, SERVO, START, Network, wire
 from eds.cia301 import NmtCommand
 from master.cycle import plausibility
@@ -254,6 +255,29 @@ def test_one_corrupt_frame_is_a_counted_miss_and_no_more(composer: Composer) -> 
 
 
 # ---- the bus ----
+
+
+def test_states_and_counters_of_the_controller_are_events_of_the_trial(composer: Composer) -> None:
+    ran = composer.run(faults=[{"kind": "disturb", "node": 127, "start_s": IN_GAIT_S, "stop_s": IN_GAIT_S + 0.0019}])
+    violation, passive, active, number = [text for text in ran.said("bus") if text.startswith("CAN controller")]
+    assert violation.endswith("in CRC while sending; transmit error counter 8, receive error counter 0.")
+    assert passive == "CAN controller: ERROR-PASSIVE; transmit error counter 128, receive error counter 0."
+    assert active == "CAN controller: ERROR-ACTIVE; transmit error counter 127, receive error counter 0."
+    assert re.search(r"while sending, \d+ times\.$", number)
+    assert ran.result.stop_reason is None
+
+
+@pytest.mark.parametrize(("can_id", "data", "text"), [
+    (0x204, "00 0c 00 00 00 00 60 00", "ERROR-WARNING; transmit error counter 96, receive error counter 0"),
+    (0x240, "00 00 00 00 00 00 f8 00", "BUS-OFF; transmit error counter 248, receive error counter 0"),
+    (0x020, "00 00 00 00 00 00 00 00", "no acknowledge"),
+    (0x004, "00 01 00 00 00 00 00 00", "receive overflow"),
+    (0x08C, "00 20 84 0a 00 00 88 00",
+     "ERROR-PASSIVE, stuff error in data while sending; transmit error counter 136, receive error counter 0"),
+    (0x100, "", "ERROR-ACTIVE, controller restarted"),
+])
+def test_error_frames_read_as_the_kernel_defines_them(can_id: int, data: str, text: str) -> None:
+    assert str(error_frames.decode(can_id, bytes.fromhex(data))) == text
 
 
 def heard(*frames: tuple[int, bytes], own: bool = False) -> BusWatch:

@@ -16,18 +16,19 @@ import can
 import numpy as np
 import pytest
 
+from eds.error_frames import BUS_OFF, CONTROLLER, COUNTERS, PASSIVE_STATE, PROTOCOL
 from master.network.link import Link, LinkError
 from master.network.socketcan import KernelBus
 from tests.socketcan import rig
 from trial.mcap_file.cdr import ERROR
 
-pytestmark = pytest.mark.guest("native", "icount")
+pytestmark = pytest.mark.guest("native", "uml", "icount")
 
 RATE = 100
 SHORT = ("--rate", RATE, "--cycles", 1, "--settle", 0, "--period", 1, "--peak", 20, "--dry-run")
 ENDLESS = (*SHORT, "--cycles", 600)
 """Ten minutes of gait: such a trial ends by the fault, or fails its test."""
-TARGETS, BUS_OFF, PROTOCOL = 0x201, 0x040, 0x008
+TARGETS = 0x201
 FOREIGN = "foreign command on the bus: .*"
 STARVED = r"emergency message: \w+: 0x8250, RPDO time-out"
 """ip and tc hold this guest's one processor for longer than the drives wait for targets."""
@@ -175,11 +176,15 @@ def test_what_a_full_receive_queue_drops_is_counted(own: str) -> None:
 def test_error_frames_are_recorded_and_bus_off_ends_the_trial(tmp_path: Path) -> None:
     process = running(tmp_path, *ENDLESS)
     raw(ERROR_FLAG | PROTOCOL, bytes(8))
+    raw(ERROR_FLAG | CONTROLLER | COUNTERS, bytes([0, PASSIVE_STATE, 0, 0, 0, 0, 136, 0]))
     raw(ERROR_FLAG | BUS_OFF, bytes(8))
     told = process.wait()
     assert told.status == 1
     assert re.match(r"bus failed: the CAN controller is bus-off", told.result["stop_reason"]), told
-    frames = rig.recorded(tmp_path).frames
+    recorded = rig.recorded(tmp_path)
+    assert "CAN controller: ERROR-PASSIVE; transmit error counter 136, receive error counter 0." in [
+        event.text for event in recorded.events if event.kind == "bus"]
+    frames = recorded.frames
     assert set(frames["can_id"][(frames["flags"] & ERROR) != 0].tolist()) >= {PROTOCOL}
 
 

@@ -23,7 +23,7 @@ from master.network.sdo import SdoError
 from master.network.socketcan import KernelBus
 from tests.socketcan import rig
 
-pytestmark = pytest.mark.guest("native", "icount", "uml")
+pytestmark = pytest.mark.guest("native", "uml", "icount")
 
 RATE = 100
 ENDLESS = ("--rate", RATE, "--cycles", 60, "--settle", 0, "--period", 1, "--peak", 20)

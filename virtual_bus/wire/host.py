@@ -14,16 +14,24 @@ import can
 from can.typechecking import CanFilters
 
 from eds.cia301 import Frame
+from eds.error_frames import (
+    ACTIVE_STATE,
+    BUS_ERROR,
+    BUS_OFF,
+    CONTROLLER,
+    COUNTERS,
+    CRC_SEQUENCE,
+    NO_ACKNOWLEDGE,
+    PASSIVE_STATE,
+    PROTOCOL,
+    RESTARTED,
+    TRANSMITTING,
+)
 from virtual_bus.wire.station import EXTENDED, Confinement, ErrorKind, Station
 
-ERROR_CLASS: Final = {ErrorKind.BIT: 0x088, ErrorKind.CRC: 0x088, ErrorKind.ACKNOWLEDGE: 0x020}
-"""Bus error with protocol violation, or no acknowledge (linux/can/error.h)."""
-CONTROLLER: Final = 0x004
-BUS_OFF: Final = 0x040
-RESTARTED: Final = 0x100
-COUNTERS: Final = 0x200
-STATE_BITS: Final = {Confinement.ACTIVE: 0x40, Confinement.PASSIVE: 0x30}
-CRC_SEQUENCE: Final = 0x08
+ERROR_CLASS: Final = {ErrorKind.BIT: BUS_ERROR | PROTOCOL, ErrorKind.CRC: BUS_ERROR | PROTOCOL,
+                      ErrorKind.ACKNOWLEDGE: NO_ACKNOWLEDGE}
+STATE_BITS: Final = {Confinement.ACTIVE: ACTIVE_STATE, Confinement.PASSIVE: PASSIVE_STATE}
 _ERROR_DATA: Final = struct.Struct("6B2B")
 
 
@@ -112,7 +120,7 @@ class Host(Station):
     def errs(self, kind: ErrorKind, sending: bool, now_ns: int) -> None:
         """Report an error frame seen on the wire."""
         where = CRC_SEQUENCE if kind is ErrorKind.CRC else 0
-        self._report(ERROR_CLASS[kind], now_ns, kind=0x80 if sending else 0, where=where)
+        self._report(ERROR_CLASS[kind], now_ns, kind=TRANSMITTING if sending else 0, where=where)
 
     def confined(self, previous: Confinement, now_ns: int) -> None:
         """Report that the controller's state has changed."""

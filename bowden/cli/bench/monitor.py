@@ -160,7 +160,9 @@ def _reader(source: Path) -> Any:
 
 def _special(message: Any) -> str:
     if message.is_error_frame:
-        return "error frame"
+        from eds.error_frames import decode
+
+        return f"error frame: {decode(message.arbitration_id, bytes(message.data))}"
     if message.is_remote_frame:
         return f"remote request of {message.dlc} bytes"
     return f"extended identifier: {bytes(message.data).hex(' ')}" if message.is_extended_id else ""
