@@ -26,7 +26,10 @@ CONFIDENCE: Final = 0.95
 
 @dataclass
 class Soak:
-    """Round trips by node, ns; how late waits ended, ns; unanswered reads, error frames, frames lost by the kernel."""
+    """Round trips by node, ns; how late waits ended, ns; unanswered reads, error frames, frames lost by the kernel.
+
+    `stamps` says whose clock stamps the frames, "" if the interface does not report it.
+    """
 
     minutes: float
     round_trips_ns: dict[int, list[int]] = field(default_factory=dict)
@@ -34,6 +37,7 @@ class Soak:
     unanswered: int = 0
     error_frames: int = 0
     lost: int = 0
+    stamps: str = ""
 
     def slower(self, rate_hz: int) -> tuple[int, int]:
         """Return how many round trips took longer than a period of `rate_hz`, or failed, and their number."""
@@ -85,6 +89,7 @@ def soak(link: Link, nodes: Sequence[int], minutes: float, ended: Callable[[], b
                 figures.round_trips_ns[node].append(link.clock() - began_ns)
     figures.error_frames = link.controller.count - errors
     figures.lost = int(getattr(link.bus, "lost", 0))
+    figures.stamps = getattr(link.bus, "stamps", "")
     return figures
 
 
@@ -92,7 +97,8 @@ def as_text(figures: Soak, where: str) -> str:
     """Return the report of a soak as Markdown."""
     lines = [f"# Soak of {where}", "", f"{platform.system()} {platform.release()}, {platform.machine()}, Python "
              f"{platform.python_version()}; {figures.minutes:g} min. {figures.error_frames} error frames, "
-             f"{figures.lost} frames lost by the receive queue, {figures.unanswered} reads without an answer.", "",
+             f"{figures.lost} frames lost by the receive queue, {figures.unanswered} reads without an answer."
+             + (f" {figures.stamps[0].upper()}{figures.stamps[1:]}." if figures.stamps else ""), "",
              "| | count | median (µs) | 99 % (µs) | 99.9 % (µs) | worst (µs) |", "|---|---|---|---|---|---|",
              _row("wake-up after its time", figures.late_ns)]
     lines += [_row(f"SDO round trip, node {node}", trips) for node, trips in figures.round_trips_ns.items()]

@@ -102,11 +102,13 @@ class Log:
             time_ns, text = errors.events.popleft()
             self.event(time_ns, "bus", "master", f"{text}.")
 
-    def tell_lost(self, time_ns: int) -> None:
-        """Record the number of frames lost in the monitor socket's full receive queue, if the interface counts them."""
+    def tell_reception(self, time_ns: int) -> None:
+        """Record how many frames the monitor socket's full receive queue lost, and whose time stamps they have."""
         lost = getattr(self._tap, "lost", 0)
         if lost:
             self.event(time_ns, "lost", "recorder", f"{lost} frames found the recorder's receive queue full.")
+        if (stamps := getattr(self._tap, "stamps", None)) is not None:
+            self.event(time_ns, "host", "recorder", f"{stamps}.")
 
     def row(self, time_ns: int, values: Sequence[float]) -> None:
         """Record one control cycle, in the order of `trial.signals.SIGNALS`; raises `StopError`."""

@@ -90,7 +90,7 @@ def run_safely(
             stop = _attempt(exchange, described, perform)
         log.quiet = True
         _tell_strangers(link, log)
-        log.tell_lost(link.clock())
+        log.tell_reception(link.clock())
         link.watch = None
     reason = None if stop is None else str(stop)
     duration_s = (link.clock() - started_ns) * 1e-9

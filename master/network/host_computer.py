@@ -9,6 +9,8 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import socket
+import struct
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -22,6 +24,9 @@ SWITCH_S: Final = 100e-6
 ISOLATED: Final = Path("/sys/devices/system/cpu/isolated")
 _MCL_CURRENT_FUTURE_ONFAULT: Final = 1 | 2 | 4
 _PR_SET_THP_DISABLE: Final = 41
+HARDWARE_STAMPS: Final = 1 << 2 | 1 << 6
+"""Flags of SO_TIMESTAMPING: received frames are stamped by the adapter, and its stamps are handed over raw."""
+_SIOCETHTOOL, _ETHTOOL_GET_TS_INFO = 0x8946, 0x41
 PERMIT: Final = "sudo setcap cap_sys_nice,cap_ipc_lock=ep"
 
 
@@ -107,3 +112,20 @@ def processors(text: str) -> set[int]:
         if first:
             found.update(range(int(first), int(last or first) + 1))
     return found
+
+
+def hardware_stamps(channel: str) -> bool:
+    """Return whether the driver of an interface offers time stamps of its hardware (ethtool -T)."""
+    if sys.platform != "linux":
+        return False
+    import fcntl
+
+    answer = ctypes.create_string_buffer(struct.pack("=I40x", _ETHTOOL_GET_TS_INFO))  # struct ethtool_ts_info
+    request = struct.pack("16sQ16x", channel.encode()[:15], ctypes.addressof(answer))  # struct ifreq
+    try:
+        with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as asked:
+            fcntl.ioctl(asked, _SIOCETHTOOL, request)
+    except OSError:
+        return False
+    (offered,) = struct.unpack_from("=4xI", answer.raw)
+    return offered & HARDWARE_STAMPS == HARDWARE_STAMPS

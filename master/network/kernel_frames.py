@@ -16,7 +16,7 @@ from numba.np.numpy_support import carray
 from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
 from trial.mcap_file.cdr import ERROR, EXTENDED, REMOTE
 
-SLOT, HEADER, ROW = 10, 8, 3
+SLOT, HEADER, ROW = 18, 8, 3
 """Sizes, in words, of a slot, a header and a `cdr.FRAME_ROW`."""
 ROW_BYTES: Final = 8 * ROW
 BATCH: Final = 32
@@ -29,15 +29,26 @@ HERE: Final = 4
 """MSG_DONTROUTE: a program on this computer sent the frame."""
 OWN: Final = 0x800
 """MSG_CONFIRM: the receiving socket itself sent the frame."""
-ANCILLARY: Final = 64
+ANCILLARY: Final = 8 * (SLOT - 2)
+"""Bytes behind a frame: the kernel's time stamp (32), the adapter's (64) if it has one, lost frames (24)."""
 DONT_WAIT: Final = 0x40
 PLAIN: Final = 32
 """Ancillary bytes of a message with a time stamp only."""
 NS: Final = 1_000_000_000
 
-MARKED_NS, SYNC_END, FIRST, TAKEN, TOLD = range(5)
+SO_TIMESTAMPING: Final = 37
+STAMPED: Final = PLAIN + 64
+"""Least ancillary bytes of a message with the adapter's time stamp (struct scm_timestamping: three timespecs)."""
+LOST: Final = 24
+"""Ancillary bytes of the count of lost frames."""
+DRIFT: Final = 10_000
+"""Inverse of the assumed largest drift between the adapter's clock and the computer's: 100 ppm, crystals' tolerance."""
+
+MARKED_NS, SYNC_END, FIRST, TAKEN, OFFSET_NS, HARDWARE_NS, LATEST_NS, ECHOED, FRAMES_STAMPED, WORST_NS, TOLD = range(11)
 """State of the rows: time stamp of the last marked frame, −1 for none; the place behind the last SYNC; the first row
-that is not yet fetched, and the end."""
+that is not yet fetched, and the end. State of the adapter's clock: its offset to the kernel's; its last time stamp;
+the last time stamp given to a frame; 1 once a frame of this computer had one; frames with one; the largest delay of
+the kernel's time stamp behind the adapter's."""
 MEMORY: Final = KNOWN + TOLD
 INPUTS: Final = 4
 MISSING, AT_NS, DROPPED, BEATS, BEAT = 0, 1, 2, 3, 4
@@ -50,6 +61,41 @@ HEEDED: Final = FRAMES + 2 * INPUTS
 OPERATIONAL: Final = int(NmtState.OPERATIONAL)
 DONE, WAITING, STRANGE = 1, 0, -1
 """Results of a reception: all inputs complete; some missing; another frame arrived."""
+
+
+@njit(cache=True)
+def settle(slots: Any, headers: Any, count: int, told: Any) -> None:
+    """Replace the kernel's time stamps by the adapter's, on the kernel's scale, and remove the ancillary bytes of both.
+
+    The kernel takes its stamp when the driver hands a frame over: later than the frame by the adapter's delay, never
+    earlier. The offset between the clocks is therefore the least difference seen, raised by `DRIFT` meanwhile: a
+    constant delay stays in, its jitter goes. Stamps are used once frames of this computer (SYNC) have them, too, since
+    ages compare both, and never run backwards.
+    """
+    for n in range(count):
+        held = np.int64(headers[n, 5])
+        if held < STAMPED or np.int64(slots[n, 7] >> np.uint64(32)) != SO_TIMESTAMPING:
+            continue
+        headers[n, 5] = np.uint64(held - 64)
+        if held == STAMPED + LOST:
+            slots[n, 8] = slots[n, 16]
+        hardware_ns = np.int64(slots[n, 12]) * NS + np.int64(slots[n, 13])
+        kernel_ns = np.int64(slots[n, 4]) * NS + np.int64(slots[n, 5])
+        delay_ns = kernel_ns - hardware_ns
+        elapsed_ns = hardware_ns - told[HARDWARE_NS]
+        if told[FRAMES_STAMPED] == 0 or elapsed_ns < -NS:  # the adapter's clock began anew
+            told[OFFSET_NS] = delay_ns
+        else:
+            told[OFFSET_NS] = min(delay_ns, told[OFFSET_NS] + max(elapsed_ns, 0) // DRIFT)
+        told[HARDWARE_NS] = hardware_ns
+        told[FRAMES_STAMPED] += 1
+        told[WORST_NS] = max(told[WORST_NS], delay_ns - told[OFFSET_NS])
+        if headers[n, 6] & np.uint64(HERE):
+            told[ECHOED] = 1
+        if told[ECHOED]:
+            stamp_ns = max(hardware_ns + told[OFFSET_NS], told[LATEST_NS])
+            told[LATEST_NS] = stamp_ns
+            slots[n, 4], slots[n, 5] = np.uint64(stamp_ns // NS), np.uint64(stamp_ns % NS)
 
 
 @njit(cache=True)
@@ -225,6 +271,7 @@ def cycle(c: Any, memory: Any, block: Any) -> int:
     c[COUNT] = count = fetch(c, headers)
     if count < 0:
         return FAILED
+    settle(slots, headers, count, heard)
     rows(slots, headers, count, block, heard)
     status = heed(slots, headers, count, c[IDS:SIZES], c[SIZES:HEED], told)
     if status != DONE or told[AT_NS] <= c[AFTER]:
@@ -238,6 +285,7 @@ def prepare() -> None:
     """Compile everything, or load it from numba's cache, before time matters."""
     slots, headers = np.zeros((1, SLOT), np.uint64), np.zeros((1, HEADER), np.uint64)
     block, heard = np.zeros((BATCH, ROW), np.uint64), np.zeros(TOLD, np.int64)
+    settle(slots, headers, 0, heard)
     rows(slots, headers, 0, block, heard)
     to_front(block, heard)
     mark(block, 0, 0, heard)

@@ -32,7 +32,6 @@ class RecordedBus(KernelBus):
         frames.prepare()
         self._trigger: socket.socket | None = None
         self._make_room(2 * frames.BATCH)
-        self.numbers: Any = self.memory[frames.KNOWN:].view(np.int64)
         self.numbers[[frames.MARKED_NS, frames.SYNC_END]] = -1
         self.told: Any = memoryview(cast(Any, self.numbers))
 

@@ -22,26 +22,26 @@ import numpy as np
 from can.interfaces.socketcan import SocketcanBus
 
 from master.network import kernel_frames
+from master.network.host_computer import HARDWARE_STAMPS, hardware_stamps
 from master.network.kernel_frames import BATCH, HEADER, KNOWN, SLOT, SLOTS
 
 NS: Final = 1_000_000_000
 RECEIVE_BUFFER: Final = 8 << 20
 """Bytes that are asked for; the kernel charges about 770 for a waiting frame, so a second of a full bus fits."""
 
-_SO_TIMESTAMPNS, _SO_RCVBUFFORCE, _SO_RXQ_OVFL = 35, 33, 40
+_SO_RCVBUFFORCE, _SO_RXQ_OVFL = 33, 40
 _EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
 _NOW: Final = int(socket.MSG_DONTWAIT)
 """A plain integer: an operation on `socket.MsgFlag` costs more than all else that is done with a frame."""
 _EAGAIN: Final = 11
 _FRAME = struct.Struct("=IB3x8s")
-_SLOT = struct.Struct("=IB3x8s16xqq16xI12x")
+_SLOT = struct.Struct("=IB3x8s16xqq16xI76x")
 """A frame and its ancillary data: a time stamp, then the count of lost frames once there are any."""
 _VECTOR = struct.Struct("@QQ")
 _HEADER = struct.Struct("@QIxxxxQQQQixxxxIxxxx")
 """struct mmsghdr: name, its length, vector, its length, control, its length, flags; bytes received."""
 _HEADER_END = struct.Struct("=40xQi12x")
 """Fields of a `msghdr`: length of the ancillary data, and flags."""
-_ANCILLARY = 64
 _PLAIN = kernel_frames.PLAIN
 
 _recvmmsg = ctypes.PyDLL(None, use_errno=True).recvmmsg
@@ -71,7 +71,12 @@ class KernelBus(SocketcanBus):
                                     self.memory[SLOTS:KNOWN].reshape(BATCH, SLOT))
         self._headers, self._slots = (memoryview(cast(Any, part)).cast("B") for part in (self.headers, self.slots))
         self._vectors = bytearray(BATCH * _VECTOR.size)
+        self.numbers: Any = self.memory[KNOWN:].view(np.int64)
         self._template = self._laid_out()
+        self._stamped = hardware_stamps(channel)
+        """Whether the adapter stamps frames itself."""
+        if self._stamped:
+            self.socket.setsockopt(socket.SOL_SOCKET, kernel_frames.SO_TIMESTAMPING, HARDWARE_STAMPS)
         self.socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
         try:
             self.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, receive_buffer)
@@ -87,9 +92,20 @@ class KernelBus(SocketcanBus):
             slot = slots + i * _SLOT.size
             _VECTOR.pack_into(self._vectors, i * _VECTOR.size, slot, _FRAME.size)
             _HEADER.pack_into(self._headers, i * _HEADER.size, 0, 0, vectors + i * _VECTOR.size, 1,
-                              slot + _FRAME.size, _ANCILLARY, 0, 0)
+                              slot + _FRAME.size, kernel_frames.ANCILLARY, 0, 0)
         self._address = ctypes.c_void_p(first)
         return bytes(self._headers)
+
+    @property
+    def stamps(self) -> str:
+        """Return in words whose clock stamps the frames, and how much later the kernel's time stamps are."""
+        count = int(self.numbers[kernel_frames.FRAMES_STAMPED])
+        if not self._stamped or not count:
+            return "time stamps of the kernel; the adapter's driver gives none of its own"
+        late_us = self.numbers[kernel_frames.WORST_NS] * 1e-3
+        late = f"the adapter stamped {count} frames, and the kernel stamped them up to {late_us:.0f} µs later"
+        used = bool(self.numbers[kernel_frames.ECHOED])
+        return f"time stamps of the {'adapter' if used else 'kernel, since own frames have none of the adapter'}; {late}"
 
     @property
     def receive_buffer(self) -> int:
@@ -130,6 +146,8 @@ class KernelBus(SocketcanBus):
         self._headers[:] = self._template
         count: int = _recvmmsg(self._number, self._address, BATCH, _NOW, None)
         if count >= 0:
+            if self._stamped:
+                kernel_frames.settle(self.slots, self.headers, count, self.numbers)
             return count
         code = ctypes.get_errno()
         if code != _EAGAIN:

@@ -15,7 +15,7 @@ from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, TPDO_BASE
 from master.network import kernel_frames as frames
 from trial.mcap_file.cdr import ERROR, EXTENDED, FRAME_ROW, REMOTE
 
-SLOT = struct.Struct("=IB3x8s16xqq16xI12x")
+SLOT = struct.Struct("=IB3x8s16xqq16xI76x")
 """struct can_frame; its ancillary data: a time stamp, the count of lost frames."""
 HEADER = struct.Struct("@QIxxxxQQQQixxxxIxxxx")
 """struct mmsghdr (recvmmsg(2))."""
@@ -70,6 +70,56 @@ def test_rows_are_what_the_structs_hold(batch: list[Frame], at: int) -> None:
     assert told[frames.SYNC_END] == at + last.get(SYNC_COB_ID, (-1, -2 - at))[1] + 1
     assert told[frames.MARKED_NS] == last.get(0x201, (-1, 0))[0]
     assert told[frames.TAKEN] == at + len(batch)
+
+
+STAMPED = struct.Struct("=IB3x8s QII qq QII 32x qq QII I12x")
+"""A slot with the adapter's time stamp: a header and a stamp of the kernel, of the adapter, and the lost frames."""
+
+
+def stamped(*batch: tuple[int, int, bool]) -> tuple[list[int], Any]:
+    """Return the time stamps of frames whose stamps of kernel and adapter, and origin, are given; the clock's state."""
+    state = np.zeros(frames.TOLD, np.int64)
+    found = []
+    for kernel_ns, hardware_ns, here in batch:
+        lost = 7
+        slots = np.frombuffer(bytearray(STAMPED.pack(
+            0x181, 8, bytes(8), 32, 1, 35, *divmod(kernel_ns, 10**9), 64, 1, frames.SO_TIMESTAMPING,
+            *divmod(hardware_ns, 10**9), 20, 1, 40, lost)), np.uint64).reshape(1, -1)
+        headers = np.frombuffer(bytearray(HEADER.pack(
+            0, 0, 0, 1, 0, 120, frames.HERE if here else 0, 16)), np.uint64).reshape(1, -1)
+        frames.settle(slots, headers, 1, state)
+        block, told = np.zeros((1, frames.ROW), np.uint64), np.zeros(frames.TOLD, np.int64)
+        frames.rows(slots, headers, 1, block, told)
+        assert (headers[0, 5], slots[0, 8]) == (56, lost), "the count of lost frames is where it is without the stamp"
+        found.append(int(block[0, 0]))
+    return found, state
+
+
+@given(st.lists(st.tuples(st.integers(200_000, 1_200_000), st.integers(0, 800_000)), min_size=2, max_size=30))
+def test_the_adapters_time_stamps_lose_the_jitter_of_the_kernels(frames_: list[tuple[int, int]]) -> None:
+    """The adapter's clock began an hour ago; the kernel is late by 0.1 ms, and by more now and then."""
+    at_ns, batch = 3600 * 10**9, [(1_700_000_000 * 10**9 + 100_000, 3600 * 10**9, True)]
+    for after_ns, late_ns in frames_:
+        at_ns += after_ns
+        batch.append((1_700_000_000 * 10**9 + at_ns - 3600 * 10**9 + 100_000 + late_ns, at_ns, False))
+    found, state = stamped(*batch)
+    for stamp, (kernel_ns, hardware_ns, _) in zip(found, batch, strict=True):
+        elapsed_ns = hardware_ns - batch[0][1]
+        assert 0 <= stamp - (batch[0][0] + elapsed_ns) <= elapsed_ns / frames.DRIFT
+        assert stamp <= kernel_ns
+    assert state[frames.WORST_NS] <= max(late for _, late in frames_)
+
+
+def test_the_kernels_time_stamps_stay_until_own_frames_have_the_adapters_too() -> None:
+    assert stamped((1_000_900, 500, False), (2_000_000, 1_000_000, False))[0] == [1_000_900, 2_000_000]
+    (_, _, third), _ = stamped((1_000_900, 500, False), (2_000_000, 1_000_000, True), (3_900_000, 2_000_000, False))
+    assert 3_000_000 <= third <= 3_000_200
+
+
+def test_an_adapter_whose_clock_begins_anew_is_followed() -> None:
+    second = 10**9
+    found, _ = stamped((10 * second, 9 * second, True), (12 * second, second // 2, True))
+    assert found == [10 * second, 12 * second]
 
 
 SYNC: Frame = SYNC_COB_ID, b"", 1000, True, 0
