@@ -18,6 +18,8 @@ from typing import Any
 import can
 import pytest
 
+from benchmarks.socketcan import adapters
+
 pytestmark = pytest.mark.walltime
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "bench.md").read_text(encoding="utf-8")
@@ -55,6 +57,10 @@ def typed(command: str) -> list[str]:
     if kept[0] == "trial":
         kept += [*SHORT, "--overwrite"]
     return kept + ["--for", "0.2"] * (kept[0] in ("doctor", "live"))
+
+
+def test_the_rates_of_adapters_are_what_the_benchmark_prints() -> None:
+    assert adapters() in PAGE
 
 
 @pytest.fixture(scope="module")
