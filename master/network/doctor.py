@@ -58,7 +58,8 @@ def interface(channel: str, bitrate: int) -> Iterator[DoctorFinding]:
     yield DoctorFinding("interface", up, f"{channel} ({kind}) is {'up' if up else 'down'}",
                         f"sudo ip link set {channel} up" if kind != "can" else setup)
     yield from _controller(channel, bitrate, told.get("linkinfo", {}).get("info_data", {}), setup)
-    yield DoctorFinding("time stamps", True, "of the adapter" if host_computer.hardware_stamps(channel) else "of the kernel")
+    clock = "adapter" if host_computer.hardware_stamps(channel) else "kernel"
+    yield DoctorFinding("time stamps", True, f"of the {clock}")
     queue = int(_read(at / "tx_queue_len") or "0")
     yield DoctorFinding("transmit queue", queue >= QUEUE or kind == "vcan", f"{queue} frames",
                         f"sudo ip link set {channel} txqueuelen {QUEUE}")

@@ -66,8 +66,8 @@ class Link:
     """The master on a python-can bus; `clock` gives ns on the scale of the bus's time stamps.
 
     `beats` holds every node's last heartbeat, `emergencies` the EMCYs that wait to be processed, `boots` the nodes
-    that booted meanwhile. `controller` holds what error frames report, `rivals` the time stamps of another master's NMT.
-    `returned`: the interface returns the master's own frames to it, as seen during bring-up. `watch`, if there is
+    that booted meanwhile. `controller` holds what error frames report, `rivals` the time stamps of another master's
+    NMT. `returned`: the interface returns the master's own frames to it, as seen during bring-up. `watch`, if there is
     one, receives every frame that a running bench has no use for. `heartbeat_ms` None is for programs that only read:
     nodes would supervise a master after its first heartbeat. `pump(deadline_ns)` is the wait of an SDO: by receiving,
     or by control cycles once they run.

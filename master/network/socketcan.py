@@ -105,7 +105,8 @@ class KernelBus(SocketcanBus):
         late_us = self.numbers[kernel_frames.WORST_NS] * 1e-3
         late = f"the adapter stamped {count} frames, and the kernel stamped them up to {late_us:.0f} µs later"
         used = bool(self.numbers[kernel_frames.ECHOED])
-        return f"time stamps of the {'adapter' if used else 'kernel, since own frames have none of the adapter'}; {late}"
+        whose = "adapter" if used else "kernel, since own frames have none of the adapter"
+        return f"time stamps of the {whose}; {late}"
 
     @property
     def receive_buffer(self) -> int:
