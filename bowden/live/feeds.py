@@ -1,33 +1,23 @@
-"""Sources of the live page: a trial that runs in this process, and a recorded one that is played.
+"""Sources of the live page: a trial that runs in this process, and a bus that is listened to.
 
 The trial's recorder comes first and receives everything, whatever happens to the page.
 """
 
 from __future__ import annotations
 
-import struct
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final, Protocol
 
 from bowden.live.page_process import PageProcess, PageSetup
-from bowden.live.state import LiveState
-from bowden.live.viewer import Viewer
-from bowden.live.web import LivePage
+from bowden.live.state import FORCES, LiveState
 from eds.bench.bench_network import Network, wire
+from trial.follow import Follower
 from trial.mcap_file import cdr
-from trial.playback import Playback, PlayerStatus
 from trial.signals import INDEX
 
-FORCES: Final = ("desired_force_n", "tension_start_n", "tension_end_n")
-ALL: Final = frozenset((cdr.CYCLE, cdr.FRAMES, cdr.EVENTS))
-STATUS: Final = {PlayerStatus.READY: "waiting", PlayerStatus.PLAYING: "running", PlayerStatus.PAUSED: "paused",
-                 PlayerStatus.ENDED: "ended"}
-FRAME: Final = struct.Struct("<I3?B8s")
-FRAME_AT: Final = 24
-"""Offset of the identifier in a `/can/frames` payload: after encapsulation, stamp and frame_id."""
-ROW_AT: Final = 12
 OTHER_PROCESS: Final = ("This process only listens to the bus. To stop: press Ctrl-C where the trial runs, the button "
                         "of its own page (bowden trial --web), or the emergency stop.")
 RECORDED: Final = "This is a recorded trial: there is nothing to stop."
@@ -53,7 +43,7 @@ def state(name: str, kind: str, network: Network, *, decode_events: bool = False
 
 
 class TrialFeed:
-    """Stream of a trial to its live page and to Foxglove."""
+    """Stream of a trial to its live page."""
 
     def __init__(self, page: PageProcess) -> None:
         self._page = page
@@ -124,42 +114,24 @@ def of_trial(where: str, name: str, network: Network, say: Callable[[str], None]
             page.close()
 
 
-class PagedViewer:
-    """The page beside a Foxglove server (or alone): takes what `TrialPlayback` sends, in place of a `Viewer`."""
+class BusFeed:
+    """Feed of a running bus, which is only listened to: each frame, and the forces of each cycle."""
 
-    def __init__(self, viewer: Viewer | None, page: LivePage, columns: Sequence[str]) -> None:
-        self._viewer, self._page = viewer, page
-        self._places = [columns.index(name) if name in columns else None for name in FORCES]
+    def __init__(self, network: Network, shown: LiveState) -> None:
+        follower = Follower(wire(network))
+        self._follow, self._shown = follower.frame, shown
+        self._places = [follower.names.index(name) for name in ("tension_start_n", "tension_end_n")]
 
-    def wanted(self) -> frozenset[str]:
-        """Return the topics with a subscriber: all of them while a page is open."""
-        others = frozenset[str]() if self._viewer is None else self._viewer.wanted()
-        return others | (ALL if self._page.state.watchers else frozenset())
-
-    def publish(self, topic: str, payload: bytes, time_ns: int) -> None:
-        """Send one message to the page and to Foxglove."""
-        if self._viewer is not None:
-            self._viewer.publish(topic, payload, time_ns)
-        shown = self._page.state
-        if topic == cdr.CYCLE:
-            desired, start, end = (float("nan") if place is None else float(
-                struct.unpack_from("<d", payload, ROW_AT + 8 * place)[0]) for place in self._places)
-            shown.force(time_ns, desired, start, end)
-        elif topic == cdr.FRAMES:
-            can_id, remote, extended, error, size, data = FRAME.unpack_from(payload, FRAME_AT)
-            flags = remote * cdr.REMOTE | extended * cdr.EXTENDED | error * cdr.ERROR
-            shown.frame(time_ns, can_id, data[:size], flags)
-        else:
-            shown.event(time_ns, *cdr.event_strings(payload))
-
-    def time(self, time_ns: int) -> None:
-        """Send the time to Foxglove; the page reads it from its messages."""
-        if self._viewer is not None:
-            self._viewer.time(time_ns)
-
-    def state(self, player: Playback, *, sought: bool = False) -> None:
-        """Send the player's position to the page and to Foxglove."""
-        if self._viewer is not None:
-            self._viewer.state(player, sought=sought)
-        self._page.state.status(STATUS[player.status], "the recording has been played"
-                                if player.status is PlayerStatus.ENDED else "")
+    def take(self, message: Any) -> None:
+        """Take one message as `can.BusABC.recv` gives it; CAN FD frames are no bench's and are left out."""
+        if message.is_fd:
+            return
+        time_ns = getattr(message, "time_ns", None) or round(message.timestamp * 1e9)
+        flags = (message.is_remote_frame * cdr.REMOTE | message.is_extended_id * cdr.EXTENDED
+                 | message.is_error_frame * cdr.ERROR)
+        data = bytes(message.data)
+        self._shown.frame(time_ns, message.arbitration_id, data, flags)
+        ended = None if flags else self._follow(time_ns, message.arbitration_id, data)
+        if ended is not None:  # no PDO carries the desired force
+            at, values = ended
+            self._shown.force(at, math.nan, *(values[place] for place in self._places))

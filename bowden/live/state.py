@@ -20,6 +20,8 @@ from trial.convert.frames import rows_of
 from trial.decode import events as events_of
 from trial.mcap_file import cdr
 
+FORCES: Final = ("desired_force_n", "tension_start_n", "tension_end_n")
+"""Columns of a trial that a page plots."""
 WINDOW_S: Final = 20.0
 """Length of the force plot of the page, s."""
 ROW_NS: Final = 5_000_000
@@ -56,7 +58,8 @@ class LiveState:
         self._new_events: deque[tuple[int, str, str, str]] = deque(maxlen=QUEUE)
         self._heard_at: float | None = None
         self._now_ns: int | None = None
-        self._first_ns: int | None = None
+        self.first_ns: int | None = None
+        """Zero of the page's time; None: the first message sets it."""
         self._row_ns: int | None = None
         self._frame_ns: int | None = None
         self._epoch = self._row_count = self._event_count = 0
@@ -66,6 +69,8 @@ class LiveState:
         self._loads: deque[tuple[int, int]] = deque()
         self._status, self._sentence, self._suspicion = "waiting", "", ""
         self.watchers = 0
+        self.player: dict[str, float] | None = None
+        """Position, length (s) and speed of a recorded trial; None where nothing is played."""
 
     def frame(self, time_ns: int, can_id: int, data: bytes, flags: int = 0) -> None:
         """Record one frame of the bus; callable from any thread."""
@@ -89,6 +94,18 @@ class LiveState:
     def suspected(self, sentence: str) -> None:
         """Set the present suspicion of a diagnosis; callable from any thread."""
         self._suspicion = sentence
+
+    @property
+    def present_status(self) -> str:
+        """Status that a page shows now."""
+        return self._status
+
+    def begin_again(self) -> None:
+        """Forget all content but the zero of time, for a seek; callable from any thread."""
+        with self.changed:
+            for queue in (self._incoming, self._blocks, self._forces, self._new_events):
+                queue.clear()
+            self._forget(None)
 
     def status(self, status: str, sentence: str = "") -> None:
         """Set the trial's status (waiting, running, paused or ended) and the sentence shown with it."""
@@ -123,7 +140,7 @@ class LiveState:
             rows = events = 0
         age = None if self._heard_at is None else self._clock() - self._heard_at
         told = {
-            **self._about, "status": self._status, "sentence": self._sentence,
+            **self._about, "player": self.player, "status": self._status, "sentence": self._sentence,
             "suspicion": self._suspicion, "epoch": self._epoch,
             "age_s": age, "now_s": self._seconds(self._now_ns), "load_percent": self._load(), "nodes": self._nodes(),
             "rows": _last(self._rows, self._row_count - rows),
@@ -147,19 +164,22 @@ class LiveState:
 
     def _at(self, time_ns: int, before_ns: int | None) -> int:
         """Follow the bus's time and return it; where one kind of message goes back in it, all begins again (a seek)."""
-        if self._first_ns is None:
-            self._first_ns = time_ns
+        if self.first_ns is None:
+            self.first_ns = time_ns
         if before_ns is not None and time_ns < before_ns - LOAD_NS:
-            self._epoch += 1
-            self._rows.clear()
-            self._events.clear()
-            self._loads.clear()
-            self._beats = dict.fromkeys(self._beats)
-            self._row_ns = self._frame_ns = None
-            self._row_count = self._event_count = 0
-            self._now_ns = time_ns
+            self._forget(time_ns)
         self._now_ns = time_ns if self._now_ns is None else max(self._now_ns, time_ns)
         return time_ns
+
+    def _forget(self, now_ns: int | None) -> None:
+        self._epoch += 1
+        self._rows.clear()
+        self._events.clear()
+        self._loads.clear()
+        self._beats = dict.fromkeys(self._beats)
+        self._row_ns = self._frame_ns = None
+        self._row_count = self._event_count = 0
+        self._now_ns = now_ns
 
     def _row(self, time_ns: int, *forces: float) -> None:
         self._at(time_ns, self._row_ns)
@@ -176,13 +196,13 @@ class LiveState:
         self._event_count += 1
 
     def _seconds(self, time_ns: int | None) -> float | None:
-        return None if time_ns is None or self._first_ns is None else round((time_ns - self._first_ns) * 1e-9, 4)
+        return None if time_ns is None or self.first_ns is None else round((time_ns - self.first_ns) * 1e-9, 4)
 
     def _load(self) -> float | None:
         """Return the share of the last second that the frames took, %; None before there was one."""
         if not self._loads or self._now_ns is None:
             return None
-        span = min(LOAD_NS, self._now_ns - (self._first_ns or 0))
+        span = min(LOAD_NS, self._now_ns - (self.first_ns or 0))
         return None if span < LOAD_NS // 5 else 100.0 * sum(b for _, b in self._loads) / (self._bitrate * span * 1e-9)
 
     def _nodes(self) -> list[dict[str, Any]]:

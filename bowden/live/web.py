@@ -11,6 +11,7 @@ import contextlib
 import hmac
 import ipaddress
 import json
+import math
 import secrets
 import socket
 import threading
@@ -22,6 +23,7 @@ from urllib.parse import parse_qs, urlsplit
 from bowden.live.state import LiveState
 from bowden.live.web_page import html
 from parameters import InputError
+from trial.playback import PlayerControl
 
 LOOPBACK: Final = "127.0.0.1"
 TICK_S: Final = 0.1
@@ -34,6 +36,8 @@ MOST_PENDING: Final = 32
 BACKLOG: Final = 128
 """Connections that the kernel holds until the server accepts them."""
 TOKEN_HEADER: Final = "X-Bowden-Token"
+Request = Callable[[PlayerControl, float | None, float | None], None]
+"""Request to a player: control, speed and position (s); None leaves the latter two as they are."""
 
 
 def address(text: str) -> tuple[str, int]:
@@ -49,12 +53,16 @@ class LivePage:
     """The server of one page, in separate threads, from construction until `close`.
 
     `stop` requests the safe stop from any thread; None if this process cannot stop the bench, and `no_stop` is then
-    the reason and the remedy. Raises `InputError` if `where` (`[HOST:]PORT`) cannot be used.
+    the reason and the remedy. `play` applies a request to the player of a recorded trial. Raises `InputError` if
+    `where` (`[HOST:]PORT`) cannot be used.
     """
 
-    def __init__(self, state: LiveState, where: str, stop: Callable[[], None] | None = None, no_stop: str = "") -> None:
+    def __init__(
+        self, state: LiveState, where: str, stop: Callable[[], None] | None = None, no_stop: str = "",
+        play: Request | None = None,
+    ) -> None:
         host, port = address(where)
-        self.state, self.stop, self.no_stop = state, stop, no_stop
+        self.state, self.stop, self.no_stop, self.play = state, stop, no_stop, play
         self.token, self.stop_asked, self.closing = secrets.token_urlsafe(24), False, False
         try:
             self._server = _Server(host, port, self)
@@ -184,18 +192,33 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         self.server.heard(self.request)
-        page = self.server.page
+        page, split = self.server.page, urlsplit(self.path)
         if not self._is_ours():
             return
-        if urlsplit(self.path).path != "/stop":
-            self._refuse(404, "Only /stop takes a POST.")
+        if split.path not in ("/stop", "/player"):
+            self._refuse(404, "Only /stop and /player take a POST.")
         elif self.headers.get("Origin") is None or not page.knows(self.headers.get(TOKEN_HEADER, "")):
             self._refuse(403, "A stop needs the page's token and its origin.")
+        elif split.path == "/player":
+            self._play(page, parse_qs(split.query))
         elif page.stop is None:
             self._refuse(409, page.no_stop)
         else:
             page.ask_to_stop()
             self._answer(202, "The safe stop was requested.\n", "text/plain; charset=utf-8")
+
+    def _play(self, page: LivePage, query: dict[str, list[str]]) -> None:
+        try:
+            control = PlayerControl(query["control"][-1])
+            speed, at_s = (float(query[name][-1]) if name in query else None for name in ("speed", "at"))
+            known = control in (PlayerControl.PLAY, PlayerControl.PAUSE, PlayerControl.SEEK)
+            if page.play is None or not known or not math.isfinite((speed or 0.0) + (at_s or 0.0)):
+                raise ValueError
+        except (KeyError, ValueError):
+            self._refuse(400, "A recorded trial takes control=play, pause or seek, with a speed and a position, s.")
+            return
+        page.play(control, speed, at_s)
+        self._answer(202, "Done.\n", "text/plain; charset=utf-8")
 
     def _is_ours(self) -> bool:
         """Whether the request is addressed to this server and comes from no other site; refused if not."""

@@ -400,7 +400,7 @@ def test_a_click_in_a_running_gait_takes_the_tension_off(browser: Any, tmp_path:
 
 
 @pytest.mark.walltime
-def test_a_recorded_trial_is_played_in_the_page_without_foxglove_open(browser: Any, tmp_path: Path) -> None:
+def test_a_recorded_trial_is_played_in_the_page(browser: Any, tmp_path: Path) -> None:
     recorder = trial.Recorder(tmp_path / "short.mcap", metadata={}, attachments={}, threaded=False)
     row = [float(place) for place in range(len(trial.SIGNALS))]
     for at in range(0, 400 * MS, MS):
@@ -408,7 +408,7 @@ def test_a_recorded_trial_is_played_in_the_page_without_foxglove_open(browser: A
         recorder.cycle(at, row)
     recorder.event(5, "nmt", "servo", "<b>configured</b>")
     recorder.close({"outcome": "completed"})
-    process = bowden("live", tmp_path / "short.mcap", "--port", 0, "--web", 0, "--json")
+    process = bowden("live", tmp_path / "short.mcap", "--web", 0, "--json")
     try:
         assert process.stdout is not None
         browser.visit(json.loads(process.stdout.readline())["web"])
@@ -419,6 +419,10 @@ def test_a_recorded_trial_is_played_in_the_page_without_foxglove_open(browser: A
         assert float(text_of(browser, "start")) == trial.SIGNALS.index(
             next(one for one in trial.SIGNALS if one.name == "tension_start_n"))
         assert text_of(browser, "why") == feeds.RECORDED
+        assert text_of(browser, "played") == "0.4 of 0.4 s"
+        browser.run("document.getElementById('play').click()")
+        until(browser, "document.getElementById('play').textContent === 'Pause'")
+        until(browser, "document.getElementById('status').textContent === 'ended'")
         assert browser.run("document.getElementById('stop').disabled")
     finally:
         process.kill()

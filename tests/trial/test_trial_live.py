@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
-from example_trials import FRAMES_A_CYCLE, PERIOD_NS
+from example_trials import PERIOD_NS
 from hypothesis import given
 from hypothesis import strategies as st
 
-import trial
 from eds.bench.bench_network import Network, wire
 from trial import decode
 from trial.convert.frames import rows_of
 from trial.follow import Follower
 from trial.mcap_file import cdr
 from trial.playback import LONGEST_NS, SPEEDS, TRANSITIONS, Playback, PlayerControl, PlayerStatus, ready
-from trial.tape import Message, Tape
 
 FIRST, LAST = 1_000_000_000, 3_000_000_000
 MS = 1_000_000
@@ -89,33 +86,6 @@ def test_whatever_is_pressed_every_moment_is_played_once(steps: list[tuple[int, 
             return
         reached = later.at_ns
         now = later.told(clock, control, speed=speed)
-
-
-def test_a_tape_played_in_any_spans_is_the_file_once_and_in_order(recorded: Path) -> None:
-    opened = trial.open(recorded)
-    tape = Tape(opened)
-    assert (tape.first_ns, tape.last_ns) == (0, int(opened.frames["time_ns"][-1]))
-    found: list[Message] = []
-    at = tape.first_ns
-    for step in (1, 0, 7 * MS, 333_333, 10**12):
-        found += tape.between(at, at + step, ALL)
-        at += step
-    assert [message.time_ns for message in found] == sorted(message.time_ns for message in found)
-    assert len(found) == len(opened.time_ns) * (1 + FRAMES_A_CYCLE) + len(opened.events)
-    rows = [message.payload for message in found if message.topic == cdr.CYCLE]
-    values = np.array([np.frombuffer(payload, "<f8", offset=12) for payload in rows])
-    np.testing.assert_array_equal(values.T, list(opened.columns.values()))
-    events = [cdr.event_strings(message.payload) for message in found if message.topic == cdr.EVENTS]
-    assert events == [tuple(event[1:]) for event in opened.events]
-
-
-def test_what_nobody_wants_is_left_on_the_tape_and_a_seek_shows_the_last_of_each(recorded: Path) -> None:
-    tape = Tape(trial.open(recorded))
-    assert {message.topic for message in tape.between(0, 10**12, frozenset((cdr.EVENTS,)))} == {cdr.EVENTS}
-    at = 60 * PERIOD_NS + 1
-    shown = {message.topic: message.time_ns for message in tape.latest(at, ALL)}
-    assert shown == {cdr.CYCLE: 60 * PERIOD_NS, cdr.FRAMES: 60 * PERIOD_NS, cdr.EVENTS: 50 * PERIOD_NS}
-    assert tape.latest(0, ALL) == []
 
 
 def log(cycles: int) -> list[tuple[int, int, bytes]]:

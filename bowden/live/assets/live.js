@@ -64,6 +64,8 @@ function take(message) {
   at("stop").disabled = !message.stop.can || message.stop.asked || message.status === "ended";
   at("why").textContent = message.stop.asked ? "Safe stop requested." : message.stop.can ? (message.status === "ended"
     ? "The trial has ended." : "Ends the trial as Ctrl-C does: the tension is let go, the drives are disabled, the file is kept.") : message.stop.why;
+  at("player").hidden = !message.player;
+  if (message.player) controls(message.player, message.status);
   const row = rows[rows.length - 1] || [null, null, null, null];
   at("desired").textContent = number(row[1], 1);
   at("start").textContent = number(row[2], 1);
@@ -71,6 +73,16 @@ function take(message) {
   at("error").textContent = number(row[1] == null || row[3] == null ? null : row[3] - row[1], 1);
   at("load").textContent = number(message.load_percent, 1);
   draw();
+}
+
+function controls(player, status) {
+  at("play").textContent = status === "running" ? "Pause" : "Play";
+  at("position").max = player.length_s;
+  if (document.activeElement !== at("position")) at("position").value = player.at_s;
+  at("played").textContent = `${player.at_s.toFixed(1)} of ${player.length_s.toFixed(1)} s`;
+}
+function ask(control, more) {
+  return fetch(`player?${new URLSearchParams({ control, ...more })}`, { method: "POST", headers: { "X-Bowden-Token": TOKEN } });
 }
 
 // Ages go on between messages, and when none comes any more.
@@ -114,4 +126,7 @@ at("stop").onclick = async () => {
     at("why").textContent = `Not stopped: no connection (${error.message}). Press Ctrl-C in bowden's terminal, or the emergency stop.`;
   }
 };
+at("play").onclick = () => ask(told.status === "running" ? "pause" : "play", {});
+at("speed").onchange = () => ask("seek", { speed: at("speed").value });
+at("position").onchange = () => { at("position").blur(); ask("seek", { at: at("position").value }); };
 setInterval(clock, 100);
