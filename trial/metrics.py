@@ -8,7 +8,10 @@ phase, −6 dB at 20 Hz); true END never is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +21,16 @@ from trial.low_pass import zero_phase
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+END, TRUE_END = "tension_end_n", "true_end_n"
+NEEDED = ("gait_percent", "cycle", "desired_force_n", END)
+FIGURES = ("relative_rmse_percent", "relative_rmse_window_percent", "max_idle_tension_n", "peak_jump_n")
 WINDOW_PERCENT = (10.0, 30.0)  # where the paper's force is not zero, formula (2)
 IDLE_OUTSIDE_PERCENT = (8.0, 32.0)  # two percent of the gait away from it
 PEAK_PERCENT = 2.0  # either side of the peak
 JUMP_S = 0.020
 LOWPASS_HZ = 20.0
+MARGIN_S = 0.5
+"""Rows that the low-pass of a block takes from its neighbours, s: the filter forgets its start by e⁻⁴⁴."""
 MISSING_SHARE = 0.01  # of the scored rows: with more of them unknown there is no figure
 
 
@@ -36,40 +44,118 @@ def figures(
     `true_end_n` has their length; it is omitted (None) if the true force is unknown. `settle` < `cycles` are numbers
     of gait cycles.
     """
-    scored = (columns["cycle"] >= settle) & (columns["cycle"] < cycles)
-    return _both(columns, scored, peak_n, rate_hz, true_end_n)
+    block = {name: columns[name] for name in NEEDED} | ({} if true_end_n is None else {TRUE_END: true_end_n})
+    return figures_of_blocks(lambda: [block], peak_n=peak_n, rate_hz=rate_hz, cycles=cycles, settle=settle)
 
 
 def per_cycle(
     columns: Mapping[str, Floats], *, peak_n: float, rate_hz: float, cycles: int, true_end_n: Floats | None = None
 ) -> list[dict[str, float | None]]:
     """Return the figures of each gait cycle, stride by stride, from cycle 0; arguments and names as in `figures`."""
-    return [_both(columns, columns["cycle"] == cycle, peak_n, rate_hz, true_end_n) for cycle in range(cycles)]
+    return [figures(columns, peak_n=peak_n, rate_hz=rate_hz, cycles=cycle + 1, settle=cycle, true_end_n=true_end_n)
+            for cycle in range(cycles)]
 
 
-def _both(
-    columns: Mapping[str, Floats], scored: Mask, peak_n: float, rate_hz: float, true_end_n: Floats | None
+def figures_of_blocks(
+    blocks: Callable[[], Iterable[Mapping[str, Floats]]], *, peak_n: float, rate_hz: float, cycles: int, settle: int
 ) -> dict[str, float | None]:
-    phase, desired, end = columns["gait_percent"], columns["desired_force_n"], columns["tension_end_n"]
-    found = _figures(phase, desired, end, lowpass(end, rate_hz), scored, peak_n, rate_hz)
-    if true_end_n is None:
-        true: dict[str, float | None] = dict.fromkeys(found)
-    else:
-        true = _figures(phase, desired, true_end_n, true_end_n, scored, peak_n, rate_hz)
-    return found | {f"true_{name}": figure for name, figure in true.items()}
+    """Return the figures of a trial that is read by block; names and arguments as in `figures`.
+
+    `blocks()` begins anew at the first row; each block has the columns `NEEDED`, and `TRUE_END` if it is known.
+    """
+    peak = _phase_of_peak(blocks(), cycles, settle)
+    margin, lag = round(MARGIN_S * rate_hz), max(1, round(JUMP_S * rate_hz))
+    sums: dict[str, dict[str, Magnitudes]] = {}
+    for columns, own in _with_margins(blocks(), margin):
+        scored = (columns["cycle"] >= settle) & (columns["cycle"] < cycles)
+        for name in (END, TRUE_END):
+            if name in columns:
+                found = sums.setdefault(name, {figure: Magnitudes() for figure in FIGURES})
+                smooth = lowpass(columns[END], rate_hz) if name == END else columns[name]
+                _add(found, columns, columns[name], smooth, scored, own, peak, lag)
+    measured = _read(sums.get(END, {}), peak_n)
+    return measured | {f"true_{name}": figure for name, figure in _read(sums.get(TRUE_END, {}), peak_n).items()}
 
 
-def _figures(
-    phase: Floats, desired: Floats, end: Floats, smooth: Floats | None, scored: Mask, peak_n: float, rate_hz: float
-) -> dict[str, float | None]:
-    window = scored & between(phase, *WINDOW_PERCENT)
-    idle = scored & ~between(phase, *IDLE_OUTSIDE_PERCENT)
-    return {
-        "relative_rmse_percent": relative_rmse(end - desired, scored, peak_n),
-        "relative_rmse_window_percent": relative_rmse(end - desired, window, peak_n),
-        "max_idle_tension_n": None if smooth is None else largest(smooth, idle),
-        "peak_jump_n": None if smooth is None else peak_jump(smooth - desired, phase, desired, scored, rate_hz),
-    }
+@dataclass
+class Magnitudes:
+    """Square sum and largest magnitude of values that come in parts, and how many of them are unknown."""
+
+    rows: int = 0
+    known: int = 0
+    squares: float = 0.0
+    largest: float = 0.0
+
+    def add(self, values: Floats) -> None:
+        """Add values, NaN where unknown."""
+        good = values[np.isfinite(values)]
+        self.rows, self.known = self.rows + len(values), self.known + len(good)
+        self.squares += float(np.sum(good**2))
+        self.largest = max(self.largest, float(np.abs(good).max(initial=0.0)))
+
+    @property
+    def counts(self) -> bool:
+        """Whether there are values, and few enough are unknown."""
+        return self.known > 0 and self.rows - self.known <= MISSING_SHARE * self.rows
+
+    def relative_rms(self, peak_n: float) -> float | None:
+        """Return the root mean square in percent of the peak, None if too many values are unknown."""
+        return 100 * math.sqrt(self.squares / self.known) / peak_n if self.counts else None
+
+
+def _phase_of_peak(blocks: Iterable[Mapping[str, Floats]], cycles: int, settle: int) -> float | None:
+    """Return the phase of the first largest desired force, %; None if too much of it is unknown."""
+    desired, highest, phase = Magnitudes(), -math.inf, None
+    for columns in blocks:
+        rows = np.flatnonzero((columns["cycle"] >= settle) & (columns["cycle"] < cycles))
+        values = columns["desired_force_n"][rows]
+        desired.add(values)
+        if np.isfinite(values).any() and float(np.nanmax(values)) > highest:
+            highest, phase = float(np.nanmax(values)), float(columns["gait_percent"][rows[np.nanargmax(values)]])
+    return phase if desired.counts else None
+
+
+def _with_margins(
+    blocks: Iterable[Mapping[str, Floats]], margin: int
+) -> Iterator[tuple[Mapping[str, Floats], slice]]:
+    """Yield each block with up to `margin` rows of its neighbours on both sides, and its own rows among them."""
+    before: Mapping[str, Floats] | None = None
+    current: Mapping[str, Floats] | None = None
+    for following in chain(blocks, [None]):
+        if current is not None:
+            first, count = (0 if before is None else len(before["cycle"])), len(current["cycle"])
+            parts = [before, current, following and {name: one[:margin] for name, one in following.items()}]
+            joined = {name: np.concatenate([part[name] for part in parts if part]) for name in current}
+            yield joined, slice(first, first + count)
+            before = {name: one[:first + count][-margin:] for name, one in joined.items()}
+        current = following
+
+
+def _add(
+    found: dict[str, Magnitudes], columns: Mapping[str, Floats], end: Floats, smooth: Floats | None, scored: Mask,
+    own: slice, peak: float | None, lag: int,
+) -> None:
+    """Add the `own` rows of a block with margins to the four figures of one END."""
+    phase, error = columns["gait_percent"], end - columns["desired_force_n"]
+    inside = np.zeros(len(phase), bool)
+    inside[own] = True
+    scored_own = scored & inside
+    found["relative_rmse_percent"].add(error[scored_own])
+    found["relative_rmse_window_percent"].add(error[scored_own & between(phase, *WINDOW_PERCENT)])
+    if smooth is None:
+        smooth = np.full(len(end), np.nan)
+    found["max_idle_tension_n"].add(smooth[scored_own & ~between(phase, *IDLE_OUTSIDE_PERCENT)])
+    if peak is not None and lag < len(error):
+        change = smooth - columns["desired_force_n"]
+        near = scored & between(phase, peak - PEAK_PERCENT, peak + PEAK_PERCENT)
+        both = near[lag:] & near[:-lag] & (phase[lag:] > phase[:-lag]) & inside[lag:]
+        found["peak_jump_n"].add((change[lag:] - change[:-lag])[both])
+
+
+def _read(found: Mapping[str, Magnitudes], peak_n: float) -> dict[str, float | None]:
+    read = {name: found.get(name, Magnitudes()) for name in FIGURES}
+    return {name: read[name].relative_rms(peak_n) if name.endswith("_percent") else
+            read[name].largest if read[name].counts else None for name in FIGURES}
 
 
 def between(phase: Floats, low: float, high: float) -> Mask:
@@ -77,38 +163,11 @@ def between(phase: Floats, low: float, high: float) -> Mask:
     return (phase >= low) & (phase <= high)
 
 
-def known(values: Floats, rows: Mask) -> Floats | None:
-    """Return the values in `rows` without unknown ones; None where too many are unknown, or there are none."""
-    chosen = values[rows]
-    good = chosen[np.isfinite(chosen)]
-    if len(good) == 0 or len(chosen) - len(good) > MISSING_SHARE * len(chosen):
-        return None
-    return good
-
-
 def relative_rmse(error: Floats, rows: Mask, peak_n: float) -> float | None:
     """Return the root mean square of `error` (N) over `rows`, in percent of the peak."""
-    good = known(error, rows)
-    return None if good is None else float(100 * np.sqrt(np.mean(good**2)) / peak_n)
-
-
-def largest(values: Floats, rows: Mask) -> float | None:
-    """Return the largest magnitude in `rows`."""
-    good = known(values, rows)
-    return None if good is None else float(np.abs(good).max())
-
-
-def peak_jump(error: Floats, phase: Floats, desired: Floats, scored: Mask, rate_hz: float) -> float | None:
-    """Return the largest change of `error` over 20 ms, both ends within 2 % of the peak of one gait cycle."""
-    if known(desired, scored) is None:
-        return None
-    peak = phase[np.flatnonzero(scored)[np.nanargmax(desired[scored])]]
-    near = scored & between(phase, peak - PEAK_PERCENT, peak + PEAK_PERCENT)
-    lag = max(1, round(JUMP_S * rate_hz))
-    if lag >= len(error):
-        return None
-    both = near[lag:] & near[:-lag] & (phase[lag:] > phase[:-lag])
-    return largest(error[lag:] - error[:-lag], both)
+    found = Magnitudes()
+    found.add(error[rows])
+    return found.relative_rms(peak_n)
 
 
 def lowpass(values: Floats, rate_hz: float) -> Floats | None:
@@ -120,15 +179,3 @@ def lowpass(values: Floats, rate_hz: float) -> Floats | None:
     bridged = np.interp(rows, rows[good], values[good])
     smooth = zero_phase(bridged, LOWPASS_HZ, rate_hz)
     return np.where(good, smooth, np.nan)
-
-
-def missed_cycles(columns: Mapping[str, Floats]) -> int:
-    """Return how many control cycles missed the deadline with their inputs or their outputs."""
-    return int(np.count_nonzero((columns["missed_inputs"] > 0) | (columns["missed_outputs"] > 0)))
-
-
-def stale_inputs(columns: Mapping[str, Floats], period_ns: int) -> int:
-    """Return how many PDOs that an earlier SYNC had latched reached a step of the controller."""
-    stepped = columns["held"] == 0
-    ages = [column for name, column in columns.items() if name.endswith("_pdo_age_ns")]
-    return int(sum(np.count_nonzero(stepped & (age >= period_ns)) for age in ages))

@@ -13,22 +13,23 @@ from typing import Any, TypeVar
 
 from parameters import InputError
 from trial.assemble import TrialContent, write
-from trial.read import Trial
+from trial.read import Trial, TrialFile
 from trial.signals import Signal, of_path
 
 T = TypeVar("T")
+File = TypeVar("File", bound=TrialFile)
 PATHS = "paths"
 """Key of the metadata that lists a trial's force paths; a trial of a single path has none."""
 ALONE = "joint_alone"
 """Key of a path's metadata: true where no other path has its joint, so that its frames are those of a single path."""
 
 
-def names(trial: Trial) -> tuple[str, ...]:
+def names(trial: TrialFile) -> tuple[str, ...]:
     """Return the force paths of a trial of several, in declared order; none for a trial of a single path."""
     return tuple(trial.metadata.get(PATHS, "").split())
 
 
-def one_path(trial: Trial, path: str) -> Trial:
+def one_path(trial: File, path: str) -> File:
     """Return one force path of a trial as a trial; raises `InputError` for a path that it has not."""
     known = names(trial)
     refuse_unknown(str(trial.path), path, known)
@@ -38,16 +39,15 @@ def one_path(trial: Trial, path: str) -> Trial:
     if result is not None:
         result |= homed.get(path, {})
     others = set(known) - {path}
-    found = dataclasses.replace(
-        trial, columns={name: column for old, column in trial.columns.items()
-                        if (name := of_path(old, path)) is not None},
-        units={name: unit for old, unit in trial.units.items() if (name := of_path(old, path)) is not None},
+    stored = {name: old for old in trial.units if (name := of_path(old, path)) is not None}
+    in_memory = {"columns": {name: trial.columns[old] for name, old in stored.items()}} if isinstance(
+        trial, Trial) else {}
+    return dataclasses.replace(
+        trial, **in_memory, stored_names=stored, units={name: trial.units[old] for name, old in stored.items()},
         derived=frozenset(filter(None, (of_path(old, path) for old in trial.derived))),
         events=tuple(event for event in trial.events if event.source not in others),
-        metadata={**metadata, "path": path}, attachments=_own(trial.attachments, path, known), result=result)
-    if metadata.get(ALONE) != "true":
-        vars(found)["frames"] = trial.frames[:0]
-    return found
+        metadata={**metadata, "path": path}, attachments=_own(trial.attachments, path, known), result=result,
+        has_frames=metadata.get(ALONE) == "true")
 
 
 def refuse_unknown(source: str, path: str, known: tuple[str, ...]) -> None:

@@ -1,18 +1,19 @@
-"""A recorded trial, opened.
+"""A recorded trial, opened: by block (`TrialFile`), or whole in memory (`Trial`).
 
-The rule of this file: bytes become numbers in bulk, a chunk at a time, and every number comes back under
-its name and unit or not at all.  `/cycle` is read at once; `/can/frames` when it is first asked for.
+Bytes become numbers in bulk, a chunk at a time, and every number is returned under its name and unit or not at all.
+Reading by block needs the same memory for a minute as for an hour.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ from trial.signals import UNITS
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+ROWS_AT_ONCE: Final = 8192
+"""Least number of control cycles in a block, but for the last; 34 columns of them take 2.2 MB."""
 
 
 class Event(NamedTuple):
@@ -35,31 +38,118 @@ class Event(NamedTuple):
     text: str
 
 
-@dataclass(frozen=True)
-class Trial:
-    """One experiment.  `columns[name]` are float64 of equal length, one value a control cycle, NaN where unknown."""
+class RowBlock(NamedTuple):
+    """Successive control cycles: times, ns, and float64 columns by name, NaN where unknown."""
 
-    path: Path
     time_ns: Integers
     columns: Mapping[str, Floats]
+
+
+class Extent(NamedTuple):
+    """Number of control cycles, times of the first and the last one (ns; 0 without any), and cycles lost before it."""
+
+    rows: int
+    first_ns: int
+    last_ns: int
+    lost_cycles: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialFile:
+    """One experiment: its descriptions in memory, its control cycles and frames read by block.
+
+    `units` are those of the columns, in the order of the file.  `stored_names`: the file's names of columns that are
+    shown under others; `has_frames`: False where the file's frames are those of several force paths.
+    """
+
+    path: Path
     units: Mapping[str, str]
     events: tuple[Event, ...]
     metadata: Mapping[str, str]
     attachments: Mapping[str, bytes]
     result: Mapping[str, object] | None
     derived: frozenset[str] = frozenset()
-    lost_cycles: int = 0
     recovered: Mapping[str, str] | None = None
+    table: str = cdr.CYCLE
+    stored_names: Mapping[str, str] = field(default_factory=dict)
+    has_frames: bool = True
     _summary: scan.Summary | None = field(default=None, repr=False)
     _identity: tuple[int, ...] = field(default=(), repr=False)
+
+    @contextmanager
+    def _view(self) -> Iterator[tuple[records.View, scan.Summary]]:
+        with records.mapped(self.path) as view:
+            if _identity(self.path) != self._identity:
+                raise InputError(f"{self.path}: the file changed since it was opened; open it again.")
+            yield view, self._summary or scan.summary(view, self.path)
+
+    @cached_property
+    def extent(self) -> Extent:
+        """Rows and times, by one pass over the file; raises `InputError` as `blocks` does."""
+        with self._view() as (view, summary):
+            rows = first = last = sequence = 0
+            for part in _table_records(view, summary, self.table, self.path):
+                first = first if rows else int(part["log_time"][0])
+                rows, last, sequence = rows + len(part), int(part["log_time"][-1]), int(part["sequence"][-1]) + 1
+            return Extent(rows, first, last, sequence - rows)
+
+    def blocks(self, names: Iterable[str] | None = None) -> Iterator[RowBlock]:
+        """Yield the control cycles in blocks with the columns `names` (None: all).
+
+        Raises `InputError` where the file has changed, is damaged or contradicts itself.
+        """
+        names = list(self.units if names is None else names)
+        with self._view() as (view, summary):
+            stored = {name: at for at, name in enumerate(_columns(_described(summary, self.table, self.path),
+                                                                  self.path)[0])}
+            places = [stored[self.stored_names.get(name, name)] for name in names]
+            parts, count = list[tuple[Integers, Floats]](), 0
+            for rows in _table_records(view, summary, self.table, self.path):
+                parts.append((rows["log_time"].astype(np.int64), rows["values"][:, places].T))
+                count += len(rows)
+                if count >= ROWS_AT_ONCE:
+                    yield _joined(parts, names)
+                    parts, count = [], 0
+            if parts:
+                yield _joined(parts, names)
+
+    def frame_blocks(self) -> Iterator[NDArray[np.void]]:
+        """Yield the CAN frames in the order of the file, a chunk at a time, as `cdr.FRAME_ROW`."""
+        if self.has_frames:
+            with self._view() as (view, summary):
+                yield from frame_blocks(view, self.path, summary)
 
     @cached_property
     def frames(self) -> NDArray[np.void]:
         """CAN frames as recorded, as `cdr.FRAME_ROW`: time_ns, can_id, flags, dlc, channel, sent, data."""
-        with records.mapped(self.path) as view:
-            if _identity(self.path) != self._identity:
-                raise InputError(f"{self.path}: the file changed since it was opened; open it again.")
-            return frames_of(view, self.path, self._summary)
+        return np.concatenate([np.empty(0, cdr.FRAME_ROW), *self.frame_blocks()])
+
+
+def _joined(parts: list[tuple[Integers, Floats]], names: list[str]) -> RowBlock:
+    times, values = zip(*parts, strict=True)
+    return RowBlock(np.concatenate(times), dict(zip(names, np.concatenate(values, axis=1), strict=True)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial(TrialFile):
+    """A trial in memory.  `columns[name]` are float64 of equal length, one value a control cycle, NaN where unknown."""
+
+    time_ns: Integers
+    columns: Mapping[str, Floats]
+    lost_cycles: int = 0
+
+    @property
+    def extent(self) -> Extent:  # type: ignore[override]
+        """Rows and times."""
+        ends = self.time_ns[[0, -1]].tolist() if len(self.time_ns) else (0, 0)
+        return Extent(len(self.time_ns), *ends, self.lost_cycles)
+
+    def blocks(self, names: Iterable[str] | None = None) -> Iterator[RowBlock]:
+        """Yield the control cycles in blocks with the columns `names` (None: all)."""
+        names = list(self.columns if names is None else names)
+        for at in range(0, len(self.time_ns), ROWS_AT_ONCE):
+            part = slice(at, at + ROWS_AT_ONCE)
+            yield RowBlock(self.time_ns[part], {name: self.columns[name][part] for name in names})
 
     def digest(self) -> str:
         """Return a SHA-256 over every channel's names, times and values; attachments and chunking play no part."""
@@ -73,49 +163,80 @@ class Trial:
         return total.hexdigest()
 
 
-def open(path: str | Path) -> Trial:
-    """Open a trial; raises `InputError` where the file is torn, damaged, foreign or contradicts itself."""
-    return open_table(path, cdr.CYCLE)
+def open_file(path: str | Path, table: str = cdr.CYCLE) -> TrialFile:
+    """Open a file whose columns are in the topic `table`, to be read by block.
 
-
-def open_table(path: str | Path, table: str) -> Trial:
-    """Open a file whose columns are in the topic `table`."""
+    Raises `InputError` where its descriptions are torn, damaged, foreign or contradict themselves; its data are checked
+    as they are read.
+    """
     path = Path(path)
     with records.mapped(path) as view:
-        found = scan.summary(view, path)
-        channel = _channel(found, table)
-        if channel is None:
-            raise InputError(f"{path}: has no topic {table}, so it is no trial; say bowden import {path} -o FILE.")
-        names, units = _columns(channel, path)
-        times, values, lost = _table(view, found, channel, len(names), path)
-        metadata = scan.metadata(view, found, path)
-        return Trial(
+        summary = scan.summary(view, path)
+        channel = _described(summary, table, path)
+        metadata = scan.metadata(view, summary, path)
+        return TrialFile(
             path=path,
-            time_ns=times,
-            columns=dict(zip(names, values, strict=True)),
-            units=units,
-            events=_events(view, found, path),
+            units=_columns(channel, path)[1],
+            events=_events(view, summary, path),
             metadata=metadata.get("trial", {}),
-            attachments=scan.attachments(view, found, path),
+            attachments=scan.attachments(view, summary, path),
             result=_result(metadata.get("result"), path),
             derived=frozenset(channel.metadata.get("derived", "").split()),
-            lost_cycles=lost,
             recovered=metadata.get("recovered"),
-            _summary=found,
+            table=table,
+            _summary=summary,
             _identity=_identity(path),
         )
 
 
+def open(path: str | Path) -> Trial:
+    """Open a trial whole; raises `InputError` where the file is torn, damaged, foreign or contradicts itself."""
+    return open_table(path, cdr.CYCLE)
+
+
+def open_table(path: str | Path, table: str) -> Trial:
+    """Open a file whose columns are in the topic `table`, whole in memory."""
+    return whole(open_file(path, table))
+
+
+def whole(file: TrialFile) -> Trial:
+    """Return a trial in memory; raises `InputError` as `TrialFile.blocks` does."""
+    if isinstance(file, Trial):
+        return file
+    with file._view() as (view, summary):
+        times, values, lost = _table(view, summary, _described(summary, file.table, file.path), file.path)
+    stored = dict(zip(_columns(_described(summary, file.table, file.path), file.path)[0], values, strict=True))
+    descriptions = {part.name: getattr(file, part.name) for part in fields(TrialFile)}
+    return Trial(**descriptions, time_ns=times, lost_cycles=lost,
+                 columns={name: stored[file.stored_names.get(name, name)] for name in file.units})
+
+
+def _described(summary: scan.Summary, table: str, path: Path) -> records.Channel:
+    channel = _channel(summary, table)
+    if channel is None:
+        raise InputError(f"{path}: has no topic {table}, so it is no trial; say bowden import {path} -o FILE.")
+    return channel
+
+
 def _identity(path: Path) -> tuple[int, ...]:
-    told = path.stat()
-    return told.st_dev, told.st_ino, told.st_size, told.st_mtime_ns
+    status = path.stat()
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
-def frames_of(view: records.View, path: str | Path, found: scan.Summary | None = None) -> NDArray[np.void]:
-    """Return the CAN frames in an MCAP file's bytes as `cdr.FRAME_ROW`, none where it has no `/can/frames`."""
-    found = found or scan.summary(view, path)
-    channel = _channel(found, cdr.FRAMES)
-    return np.empty(0, cdr.FRAME_ROW) if channel is None else _frames(view, found, channel, Path(path))
+def frame_blocks(
+    view: records.View, path: str | Path, summary: scan.Summary | None = None
+) -> Iterator[NDArray[np.void]]:
+    """Yield the CAN frames in an MCAP file's bytes a chunk at a time, as `cdr.FRAME_ROW`; none without `/can/frames`.
+    """
+    summary, path = summary or scan.summary(view, path), Path(path)
+    channel = _channel(summary, cdr.FRAMES)
+    if channel is None:
+        return
+    if channel.schema != cdr.FRAME_SCHEMA:
+        raise InputError(f"{path}: {channel.topic} is not {cdr.FRAME_SCHEMA_NAME}; say bowden import.")
+    for chunk in scan.chunks_of(summary, channel.number, path, len(view)):
+        yield cdr.frame_rows(_fixed(scan.content(view, chunk, path, summary.checked), cdr.FRAME_RECORD, channel.number,
+                                    path))
 
 
 def _result(written: Mapping[str, str] | None, path: Path) -> dict[str, object] | None:
@@ -172,42 +293,39 @@ def _regular(rows: NDArray[np.void]) -> bool:
     )
 
 
+def _table_records(
+    view: records.View, summary: scan.Summary, table: str, path: Path
+) -> Iterator[NDArray[np.void]]:
+    """Yield the message records of a table, a chunk at a time; raises `InputError` where their times do not rise."""
+    channel = _described(summary, table, path)
+    dtype, count, before_ns = cdr.cycle_record(len(_columns(channel, path)[0])), 0, -1
+    for chunk in scan.chunks_of(summary, channel.number, path, len(view)):
+        rows = _fixed(scan.content(view, chunk, path, summary.checked), dtype, channel.number, path)
+        if not len(rows):
+            continue
+        back = np.flatnonzero(np.diff(rows["log_time"].astype(np.int64), prepend=before_ns) <= 0)
+        if len(back):
+            raise InputError(
+                f"{path}: {table} row {count + back[0] + 1} is at {rows['log_time'][back[0]]} ns, not after the row "
+                "before; say bowden import, which can mend and count that.")
+        count, before_ns = count + len(rows), int(rows["log_time"][-1])
+        yield rows
+
+
 def _table(
-    view: records.View, found: scan.Summary, channel: records.Channel, width: int, path: Path
+    view: records.View, summary: scan.Summary, channel: records.Channel, path: Path
 ) -> tuple[Integers, Floats, int]:
-    dtype = cdr.cycle_record(width)
-    chunks = scan.chunks_of(found, channel.number, path, len(view))
-    room = sum(chunk.unpacked for chunk in chunks) // dtype.itemsize
-    times, values, sequence = np.empty(room, np.int64), np.empty((width, room)), np.empty(room, np.uint32)
-    count = 0
-    for chunk in chunks:
-        rows = _fixed(scan.content(view, chunk, path, found.checked), dtype, channel.number, path)
+    """Return times, columns (names, rows) and the number of lost rows of a table."""
+    width = len(_columns(channel, path)[0])
+    chunks = scan.chunks_of(summary, channel.number, path, len(view))
+    room = sum(chunk.unpacked for chunk in chunks) // cdr.cycle_record(width).itemsize
+    times, values = np.empty(room, np.int64), np.empty((width, room))
+    count = sequence = 0
+    for rows in _table_records(view, summary, channel.topic, path):
         end = count + len(rows)
-        times[count:end] = rows["log_time"]
-        sequence[count:end] = rows["sequence"]
-        values[:, count:end] = rows["values"].T
-        count = end
-    times, values = times[:count], values[:, :count]
-    back = np.flatnonzero(np.diff(times) <= 0)
-    if len(back):
-        raise InputError(
-            f"{path}: {channel.topic} row {back[0] + 2} is at {times[back[0] + 1]} ns, not after the row before; "
-            "say bowden import, which can mend and count that.")
-    lost = int(sequence[count - 1]) + 1 - count if count else 0
-    return times, values, lost
-
-
-def _frames(view: records.View, found: scan.Summary, channel: records.Channel, path: Path) -> NDArray[np.void]:
-    if channel.schema != cdr.FRAME_SCHEMA:
-        raise InputError(f"{path}: {channel.topic} is not {cdr.FRAME_SCHEMA_NAME}; say bowden import.")
-    chunks = scan.chunks_of(found, channel.number, path, len(view))
-    rows = np.empty(sum(chunk.unpacked for chunk in chunks) // cdr.FRAME_RECORD.itemsize, cdr.FRAME_ROW)
-    count = 0
-    for chunk in chunks:
-        records = _fixed(scan.content(view, chunk, path, found.checked), cdr.FRAME_RECORD, channel.number, path)
-        rows[count:count + len(records)] = cdr.frame_rows(records)
-        count += len(records)
-    return rows[:count]
+        times[count:end], values[:, count:end] = rows["log_time"], rows["values"].T
+        count, sequence = end, int(rows["sequence"][-1]) + 1
+    return times[:count], values[:, :count], sequence - count
 
 
 def _events(view: records.View, found: scan.Summary, path: Path) -> tuple[Event, ...]:

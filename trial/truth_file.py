@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from trial.read import Trial, open_table
+from trial.read import TrialFile, open_file
 
 TABLE = "/truth"
 
 
-def open_truth(path: str | Path) -> Trial:
-    """Open a side file: its columns are the plant's true values at each SYNC; raises `InputError` as `open` does."""
-    return open_table(path, TABLE)
+def open_truth(path: str | Path) -> TrialFile:
+    """Open a side file: its columns are the plant's true values at each SYNC; raises `InputError` as `open_file`."""
+    return open_file(path, TABLE)

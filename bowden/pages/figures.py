@@ -6,12 +6,13 @@ A signal that was not recorded has no figure; a full disk is no error here.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bowden.pages import load_prediction as load
 from bowden.progress import SILENT, Progress
@@ -20,13 +21,12 @@ from eds.bench.bench_network import wire
 from parameters import InputError
 from trial import metrics, read
 from trial.paths import one_path
-from trial.signals import COLUMNS
 from trial.truth_file import open_truth
 
 if TYPE_CHECKING:
     from master.motion.experiment_run import ExperimentSetup, Result
 
-TRUE_END = "true_end_n"
+Floats = NDArray[np.float64]
 
 
 def figures(
@@ -40,14 +40,11 @@ def figures(
     `serial`: of the simulated bench, None on hardware; not `kept`: the disk did not take the whole trial.
     """
     gait, network = experiment.gait, experiment.network
-    recorded = read.open(output) if kept else None
+    recorded = read.open_file(output) if kept else None
     if paths:
         return _of_paths(experiment, result, output, truth, wall_s, paths, recorded, serial=serial, simulated=simulated,
                          progress=progress)
-    columns = {name: np.empty(0) for name in COLUMNS} if recorded is None else recorded.columns
-    found = metrics.figures(
-        columns, peak_n=gait.peak_n, rate_hz=network.rate_hz, cycles=gait.cycles, settle=gait.settle,
-        true_end_n=None if truth is None or recorded is None else _true_end(truth, recorded, progress))
+    found = _of_force(recorded, truth, gait.peak_n, experiment, progress)
     return {
         "trial": str(output),
         "peak_n": gait.peak_n,
@@ -71,7 +68,7 @@ def figures(
 
 def _of_paths(
     experiment: ExperimentSetup, result: Result, output: Path, truth: Path | None, wall_s: float,
-    paths: Mapping[str, ExperimentSetup], recorded: read.Trial | None, *, serial: int | None, simulated: bool,
+    paths: Mapping[str, ExperimentSetup], recorded: read.TrialFile | None, *, serial: int | None, simulated: bool,
     progress: Progress,
 ) -> dict[str, Any]:
     """Return the figures of a trial of several force paths: those of force by path."""
@@ -79,10 +76,7 @@ def _of_paths(
     found["paths"] = {}
     for name, setup in paths.items():
         one = None if recorded is None else one_path(recorded, name)
-        true = None if truth is None or one is None else _true_end(truth, one, progress, f"{name}.")
-        figures = metrics.figures(
-            {name: np.empty(0) for name in COLUMNS} if one is None else one.columns, peak_n=setup.reference.peak_n,
-            rate_hz=setup.network.rate_hz, cycles=setup.gait.cycles, settle=setup.gait.settle, true_end_n=true)
+        figures = _of_force(one, truth, setup.reference.peak_n, setup, progress, f"{name}.")
         found["paths"][name] = {"peak_n": setup.reference.peak_n, "calibration": setup.calibration.label, **figures}
     if recorded is not None:
         found["bus_load_percent"] = load.measured_percent(recorded, experiment.network.bitrate)
@@ -93,9 +87,7 @@ def refused(
     experiment: ExperimentSetup, result: Result, wall_s: float, *, serial: int | None, simulated: bool
 ) -> dict[str, Any]:
     """The keys of `figures` for a run that ended before its first control cycle, of which no file is kept."""
-    nothing = dict.fromkeys(metrics.figures(
-        {name: np.empty(0) for name in COLUMNS}, peak_n=experiment.gait.peak_n, rate_hz=experiment.network.rate_hz,
-        cycles=experiment.gait.cycles, settle=experiment.gait.settle, true_end_n=None))
+    nothing = _of_force(None, None, experiment.gait.peak_n, experiment, SILENT)
     return {
         "trial": None, "peak_n": experiment.gait.peak_n, "period_s": experiment.gait.period_s,
         "cycles": experiment.gait.cycles, "rate_hz": experiment.network.rate_hz, "serial": serial,
@@ -107,23 +99,60 @@ def refused(
     }
 
 
-def _true_end(
-    truth: Path, recorded: read.Trial, progress: Progress, prefix: str = ""
-) -> np.ndarray[Any, np.dtype[np.float64]] | None:
-    """True END as `true_end`; None, and a remark, where the side file was not closed."""
+def _of_force(
+    recorded: read.TrialFile | None, truth: Path | None, peak_n: float, experiment: ExperimentSetup, progress: Progress,
+    prefix: str = "",
+) -> dict[str, float | None]:
+    """Return the figures of force, each None without a recording; `prefix`: of the path's columns in `truth`."""
+    side = None if truth is None or recorded is None else _opened(truth, progress)
+
+    def blocks() -> Iterator[Mapping[str, Floats]]:
+        if recorded is None:
+            return
+        true = None if side is None else TrueEnd(side, prefix)
+        for times, columns in recorded.blocks(metrics.NEEDED):
+            yield columns if true is None else {**columns, metrics.TRUE_END: true.at(times)}
+
+    return metrics.figures_of_blocks(blocks, peak_n=peak_n, rate_hz=experiment.network.rate_hz,
+                                     cycles=experiment.gait.cycles, settle=experiment.gait.settle)
+
+
+def _opened(truth: Path, progress: Progress) -> read.TrialFile | None:
+    """Open a side file; None, and a remark, where it was not closed."""
     try:
-        return true_end(truth, recorded, prefix)
+        side = open_truth(truth)
+        return side if side.extent else None  # reads, and so checks, every row
     except InputError as error:
         progress.remark(str(error))
         return None
 
 
-def true_end(truth: Path, recorded: read.Trial, prefix: str = "") -> np.ndarray[Any, np.dtype[np.float64]]:
-    """True END, N, at the SYNCs that latched the recorded rows; NaN at a row without one; `prefix`: the path's."""
-    side = open_truth(truth)
-    places = np.searchsorted(side.time_ns, recorded.time_ns).clip(0, len(side.time_ns) - 1)
-    hit = side.time_ns[places] == recorded.time_ns
-    return np.where(hit, side.columns[prefix + TRUE_END][places], np.nan)
+class TrueEnd:
+    """True END, N, of a simulated bench's side file at the times of successive blocks of its trial."""
+
+    def __init__(self, truth: read.TrialFile, prefix: str = "") -> None:
+        self._name = prefix + metrics.TRUE_END
+        self._blocks = truth.blocks([self._name])
+        self._times, self._values = np.empty(0, np.int64), np.empty(0)
+
+    def at(self, time_ns: NDArray[np.int64]) -> Floats:
+        """Return the force at each of `time_ns`, which rise from call to call; NaN where the side file has no row."""
+        while not len(self._times) or self._times[-1] < time_ns[-1]:
+            block = next(self._blocks, None)
+            if block is None:
+                break
+            kept = self._times >= time_ns[0]
+            self._times = np.concatenate([self._times[kept], block.time_ns])
+            self._values = np.concatenate([self._values[kept], block.columns[self._name]])
+        if not len(self._times):
+            return np.full(len(time_ns), np.nan)
+        places = np.searchsorted(self._times, time_ns).clip(0, len(self._times) - 1)
+        return np.where(self._times[places] == time_ns, self._values[places], np.nan)
+
+
+def true_end(truth: Path, recorded: read.Trial, prefix: str = "") -> Floats:
+    """Return true END, N, at the rows of a trial in memory; NaN at a row without one; `prefix`: the path's."""
+    return TrueEnd(open_truth(truth), prefix).at(recorded.time_ns)
 
 
 def picture(output: Path, path: Path, experiment: ExperimentSetup) -> None:

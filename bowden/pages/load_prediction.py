@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trial.mcap_file import cdr
-from trial.read import Trial
+from trial.read import TrialFile
 from virtual_bus.wire.bit_counts import bits_of
 from virtual_bus.wire.bits import INTERMISSION_BITS
 
@@ -20,12 +20,14 @@ def frame_bits(frames: NDArray[np.void]) -> NDArray[np.int64]:
         frames["can_id"], frames["dlc"], frames["data"], flags & cdr.REMOTE != 0, flags & cdr.EXTENDED != 0)
 
 
-def measured_percent(recorded: Trial, bitrate: int) -> float:
+def measured_percent(recorded: TrialFile, bitrate: int) -> float:
     """Return the bits of the frames between the first and the last control cycle, % of the bus's capacity; NaN
     without."""
-    if len(recorded.time_ns) < 2:
+    rows, first, last, _lost = recorded.extent
+    if rows < 2:
         return math.nan
-    first, last = int(recorded.time_ns[0]), int(recorded.time_ns[-1])
-    frames = recorded.frames
-    chosen = frames[(frames["time_ns"] > first) & (frames["time_ns"] <= last) & (frames["flags"] & cdr.ERROR == 0)]
-    return 100.0 * float(frame_bits(chosen).sum()) / (bitrate * (last - first) * 1e-9)
+    bits = 0
+    for frames in recorded.frame_blocks():
+        times = frames["time_ns"]
+        bits += int(frame_bits(frames[(times > first) & (times <= last) & (frames["flags"] & cdr.ERROR == 0)]).sum())
+    return 100.0 * bits / (bitrate * (last - first) * 1e-9)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from eds.declaration import DeclaredBench, ForcePath
     from master.motion.experiment_run import ExperimentSetup
     from physics.reference import Reference
-    from trial.read import Trial
+    from trial.read import TrialFile
 
 
 def several(bench: DeclaredBench) -> bool:
@@ -81,7 +81,7 @@ def attachments(setups: Mapping[str, ExperimentSetup], sections: Mapping[str, An
     return found
 
 
-def opened(file: Path, path: str | None, *, whole: bool = False) -> Trial:
+def opened(file: Path, path: str | None, *, whole: bool = False) -> TrialFile:
     """Open a trial of a single path, or with `path` that path of one; `whole` takes one of several as it is.
 
     Raises `InputError` for a trial of several paths where no path is named, and for a path that it has not.
@@ -89,7 +89,7 @@ def opened(file: Path, path: str | None, *, whole: bool = False) -> Trial:
     from trial import read
     from trial.paths import names, one_path
 
-    found = read.open(file)
+    found = read.open_file(file)
     if path is not None:
         return one_path(found, path)
     if names(found) and not whole:
@@ -104,6 +104,7 @@ def single_paths(trials: Sequence[Path], path: str | None) -> Iterator[list[Path
     Raises `InputError` for a trial of several paths where no path is named, and for a path that a trial has not.
     """
     from trial.paths import write_path
+    from trial.read import whole
 
     with tempfile.TemporaryDirectory(prefix="bowden-") as folder:
         found = []
@@ -114,6 +115,6 @@ def single_paths(trials: Sequence[Path], path: str | None) -> Iterator[list[Path
                 continue
             target = Path(folder) / str(len(found)) / file_of(file, path).name
             target.parent.mkdir()
-            write_path(one, target)
+            write_path(whole(one), target)
             found.append(target)
         yield found

@@ -106,14 +106,17 @@ def test_without_truth_or_with_too_much_unknown_there_is_no_figure() -> None:
     assert set(figures(gaps).values()) == {None}
 
 
-def test_misses_and_stale_inputs_are_counted() -> None:
-    found = {
-        "missed_inputs": np.array([0.0, 2.0, 0.0, 1.0]), "missed_outputs": np.array([0.0, 1.0, 1.0, 0.0]),
-        "held": np.array([0.0, 1.0, 0.0, 0.0]),
-        "servo_pdo_age_ns": np.array([3e5, 2e6, 1e6, 0.0]), "start_pdo_age_ns": np.array([3e5, 2e6, 4e6, 3e5]),
-    }
-    assert metrics.missed_cycles(found) == 3
-    assert metrics.stale_inputs(found, 1_000_000) == 2
+def test_figures_read_by_block_are_those_of_the_whole() -> None:
+    noise = np.random.default_rng(1).normal(0.0, 1.0, ROWS)
+    found = columns(noise)
+    found["tension_end_n"][[0, 900, 901, 4000]] = np.nan
+    found["true_end_n"] = columns(noise / 3)["tension_end_n"]
+    whole = figures(found, found["true_end_n"])
+    by_block = metrics.figures_of_blocks(
+        lambda: ({name: one[at:at + 1111] for name, one in found.items()} for at in range(0, ROWS, 1111)),
+        peak_n=PEAK_N, rate_hz=RATE_HZ, cycles=CYCLES, settle=1)
+    assert by_block == pytest.approx(whole, rel=1e-12)  # sums in another order
+    assert None not in whole.values()
 
 
 def test_each_cycle_has_its_own_figures_and_together_they_are_the_trials() -> None:

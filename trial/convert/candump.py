@@ -9,8 +9,7 @@ is read, too, if its lines have time stamps.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,11 +122,3 @@ def lines(rows: NDArray[np.void]) -> Iterator[str]:
             identifier = f"{can_id | ERROR_BIT:08X}"
         body = f"R{dlc}" if flags & cdr.REMOTE else bytes(data[:dlc]).hex().upper()
         yield f"({seconds}.{rest // 1000:06d}) can{channel} {identifier}#{body} {'T' if sent else 'R'}\n"
-
-
-def write(path: Path, rows: NDArray[np.void], progress: Callable[[float], None] = lambda share: None) -> None:
-    """Write a candump log; `progress` receives the share done, 0 … 1."""
-    with path.open("w", encoding="ascii") as file:
-        for at in range(0, len(rows), 4096):
-            file.writelines(lines(rows[at:at + 4096]))
-            progress(min(1.0, (at + 4096) / len(rows)))

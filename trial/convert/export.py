@@ -8,24 +8,27 @@ from __future__ import annotations
 
 import gzip
 import importlib
+import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from parameters import InputError
 from parameters.files import replaced
 from trial.assemble import Progress, silent
 from trial.convert import candump
-from trial.read import Trial
+from trial.read import ROWS_AT_ONCE, TrialFile
 
-ROWS_AT_ONCE = 4096
-Writer = Callable[[Trial, Path, Progress], int]
+Writer = Callable[[TrialFile, Path, Progress], int]
+BLOCKS_IN_GROUP = 4  # of a Parquet file: with one block a group it is half as large again
 PYTHON_CAN = (".asc", ".blf", ".trc")
 
 
 def export(
-    trial: Trial, target: str | Path, *, mat73: bool = False, overwrite: bool = False, progress: Progress = silent
+    trial: TrialFile, target: str | Path, *, mat73: bool = False, overwrite: bool = False, progress: Progress = silent
 ) -> int:
     """Write `trial` in the format that the ending of `target` names; returns the rows or frames written.
 
@@ -56,141 +59,189 @@ def _writer(target: Path) -> Writer:
                      f".csv.gz, .xlsx, .tdms, .parquet, .mf4, .mat, .log, {', '.join(PYTHON_CAN)}.")
 
 
-def known_columns(trial: Trial) -> list[str]:
+def known_columns(trial: TrialFile) -> list[str]:
     """Return the names of the columns that are not unknown throughout; raises `InputError` without any."""
-    names = [name for name, column in trial.columns.items() if not np.isnan(column).all()]
-    if not names:
+    known = set[str]()
+    for block in trial.blocks():
+        known |= {name for name, column in block.columns.items() if name not in known and not np.isnan(column).all()}
+        if len(known) == len(block.columns):
+            break
+    if not known:
         raise InputError(f"{trial.path}: has no cycles to write; export its frames to a .log, .asc, .blf or .trc file.")
-    return names
+    return [name for name in trial.units if name in known]
 
 
-def csv_lines(trial: Trial, progress: Progress = silent) -> Iterator[str]:
+def _rows(trial: TrialFile, names: list[str], progress: Progress) -> Iterator[list[float]]:
+    """Yield the control cycles as rows of the columns `names`."""
+    done, rows = 0, trial.extent.rows
+    for times, columns in trial.blocks(names):
+        yield from np.array([columns[name] for name in names]).T.tolist()
+        done += len(times)
+        progress(done / rows)
+
+
+def csv_lines(trial: TrialFile, progress: Progress = silent) -> Iterator[str]:
     """Write the header and the rows."""
     names = known_columns(trial)
     yield ",".join(names) + "\n"
-    columns = [trial.columns[name] for name in names]
-    for at in range(0, len(trial.time_ns), ROWS_AT_ONCE):
-        for row in np.array([column[at:at + ROWS_AT_ONCE] for column in columns]).T.tolist():
-            yield ",".join([_cell(value) for value in row]) + "\n"
-        progress(min(1.0, (at + ROWS_AT_ONCE) / len(trial.time_ns)))
+    for row in _rows(trial, names, progress):
+        yield ",".join([_cell(value) for value in row]) + "\n"
 
 
 def _cell(value: float) -> str:
     return "" if value != value else repr(value).removesuffix(".0")
 
 
-def _csv(trial: Trial, part: Path, progress: Progress) -> int:
-    lines = csv_lines(trial, progress)
+def _csv(trial: TrialFile, part: Path, progress: Progress) -> int:
     with part.open("w", encoding="utf-8") as file:
-        file.writelines(lines)
-    return len(trial.time_ns)
+        file.writelines(csv_lines(trial, progress))
+    return trial.extent.rows
 
 
-def _csv_gz(trial: Trial, part: Path, progress: Progress) -> int:
+def _csv_gz(trial: TrialFile, part: Path, progress: Progress) -> int:
     with part.open("wb") as raw, gzip.GzipFile("", "wb", 6, raw, mtime=0) as file:  # no name, no time: repeatable
         file.writelines(line.encode() for line in csv_lines(trial, progress))
-    return len(trial.time_ns)
+    return trial.extent.rows
 
 
-def _parquet(trial: Trial, part: Path, progress: Progress) -> int:
+def _parquet(trial: TrialFile, part: Path, progress: Progress) -> int:
+    """Write row groups of some blocks, with units as metadata of the fields; an unknown value is null."""
     try:
         import pyarrow as pa
         from pyarrow import parquet
     except ImportError:
         raise InputError(f"{trial.path}: Parquet needs pyarrow; say pip install bowden-bench[parquet].") from None
-    fields, arrays = [], []
-    for name in known_columns(trial):
-        fields.append(pa.field(name, pa.float64(), metadata={"unit": trial.units[name]}))
-        arrays.append(pa.array(trial.columns[name], from_pandas=True))  # an unknown value becomes null
-    parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), part)
+    names = known_columns(trial)
+    schema = pa.schema([pa.field(name, pa.float64(), metadata={"unit": trial.units[name]}) for name in names])
+    with parquet.ParquetWriter(part, schema) as file:
+        waiting: list[Any] = []
+        for block in trial.blocks(names):
+            waiting.append(pa.table([pa.array(block.columns[name], from_pandas=True) for name in names], schema=schema))
+            if len(waiting) == BLOCKS_IN_GROUP:
+                file.write_table(pa.concat_tables(waiting))
+                waiting.clear()
+        if waiting:
+            file.write_table(pa.concat_tables(waiting))
     progress(1.0)
-    return len(trial.time_ns)
+    return trial.extent.rows
 
 
 EXCEL_ROWS = (1 << 20) - 2  # below a header and a row of units
 
 
-def _excel(trial: Trial, part: Path, progress: Progress) -> int:
+def _excel(trial: TrialFile, part: Path, progress: Progress) -> int:
     """Write one sheet: a header, a row of units, then the cycles; an unknown value is an empty cell."""
     try:
         new_book = importlib.import_module("openpyxl").Workbook
     except ImportError:
         raise InputError(f"{trial.path}: Excel needs openpyxl; say pip install bowden-bench[xlsx].") from None
-    if len(trial.time_ns) > EXCEL_ROWS:
-        raise InputError(f"{trial.path}: has {len(trial.time_ns)} cycles, an Excel sheet holds {EXCEL_ROWS}; cut it, "
+    if trial.extent.rows > EXCEL_ROWS:
+        raise InputError(f"{trial.path}: has {trial.extent.rows} cycles, an Excel sheet holds {EXCEL_ROWS}; cut it, "
                          "or write .csv.")
     names = known_columns(trial)
     book = new_book(write_only=True)
     sheet = book.create_sheet("cycle")
     sheet.append(names)
     sheet.append([trial.units[name] for name in names])
-    for row in np.array([trial.columns[name] for name in names]).T.tolist():
+    for row in _rows(trial, names, progress):
         sheet.append([None if value != value else value for value in row])
     with part.open("wb") as file:
         book.save(file)
-    progress(1.0)
-    return len(trial.time_ns)
+    return trial.extent.rows
 
 
-def _tdms(trial: Trial, part: Path, progress: Progress) -> int:
+def _tdms(trial: TrialFile, part: Path, progress: Progress) -> int:
     """Write one group `cycle`, a channel for each column with its unit."""
     try:
         nptdms = importlib.import_module("nptdms")
     except ImportError:
         raise InputError(f"{trial.path}: TDMS needs nptdms; say pip install bowden-bench[tdms].") from None
+    names = known_columns(trial)
     with part.open("wb") as file, nptdms.TdmsWriter(file) as writer:
-        writer.write_segment([
-            nptdms.ChannelObject("cycle", name, trial.columns[name], {"unit_string": trial.units[name]})
-            for name in known_columns(trial)])
+        for block in trial.blocks(names):
+            writer.write_segment([
+                nptdms.ChannelObject("cycle", name, block.columns[name], {"unit_string": trial.units[name]})
+                for name in names])
     progress(1.0)
-    return len(trial.time_ns)
+    return trial.extent.rows
 
 
-def _mdf(trial: Trial, part: Path, progress: Progress) -> int:
+def _mdf(trial: TrialFile, part: Path, progress: Progress) -> int:
     """Write one channel group over `time_s`."""
     try:
         from asammdf import MDF, Signal
     except ImportError:
         raise InputError(f"{trial.path}: MDF needs asammdf; say pip install bowden-bench[mf4].") from None
-    time_s = trial.columns["time_s"]
+    names = known_columns(trial)
     with MDF(version="4.10") as file:
-        file.append([Signal(trial.columns[name], time_s, name=name, unit=trial.units[name])
-                     for name in known_columns(trial) if name != "time_s"])
+        others = [name for name in names if name != "time_s"]
+        for number, (_, columns) in enumerate(trial.blocks(names)):
+            if number:
+                file.extend(0, [(columns[name], None) for name in ("time_s", *others)])
+            else:
+                file.append([Signal(columns[name], columns["time_s"], name=name, unit=trial.units[name])
+                             for name in others])
         saved = file.save(part.with_name(f"{part.name}.mf4"), overwrite=True)
     Path(saved).replace(part)
     progress(1.0)
-    return len(trial.time_ns)
+    return trial.extent.rows
 
 
 V5_LIMIT = (1 << 31) - 1024  # bytes of one variable of a MATLAB v5 file
 
 
-def _matlab5(trial: Trial, part: Path, progress: Progress) -> int:
-    """Write column vectors by name, and the structure `units`; an unknown value is NaN."""
+def _matlab5(trial: TrialFile, part: Path, progress: Progress) -> int:
+    """Write column vectors by name, and the structure `units`; an unknown value is NaN.
+
+    SciPy writes the header of each variable, with one row; its length and its rows come by block.
+    """
     from scipy.io import savemat
 
-    names = known_columns(trial)
-    if 8 * len(trial.time_ns) > V5_LIMIT:
+    names, rows = known_columns(trial), trial.extent.rows
+    if 8 * rows > V5_LIMIT:
         raise InputError(f"{trial.path}: is too long for a MATLAB v5 file; say --mat73.")
     with part.open("wb") as file:
-        savemat(file, {**{name: trial.columns[name] for name in names}, "units": {
-            name: trial.units[name] for name in names}}, oned_as="column", long_field_names=True)
-    progress(1.0)
-    return len(trial.time_ns)
+        savemat(file, {"units": {name: trial.units[name] for name in names}}, long_field_names=True)
+        starts = {}
+        for name in names:
+            head = _matlab5_head(name, rows)
+            file.write(head)
+            starts[name] = file.tell()
+            file.seek(8 * rows, 1)
+        done = 0
+        for times, columns in trial.blocks(names):
+            for name, start in starts.items():
+                file.seek(start + 8 * done)
+                file.write(columns[name].astype("<f8").tobytes())
+            done += len(times)
+            progress(done / rows)
+    return rows
 
 
-def _matlab73(trial: Trial, part: Path, progress: Progress) -> int:
+def _matlab5_head(name: str, rows: int) -> bytes:
+    """Return a real double column vector up to its data, as MATLAB's MAT-file format, level 5, tags them."""
+    raw = name.encode()
+    body = struct.pack("<IIII", 6, 8, 6, 0) + struct.pack("<IIii", 5, 8, rows, 1)  # flags: class double; dimensions
+    body += struct.pack("<II", 1, len(raw)) + raw + bytes(-len(raw) % 8) + struct.pack("<II", 9, 8 * rows)
+    return struct.pack("<II", 14, len(body) + 8 * rows) + body
+
+
+def _matlab73(trial: TrialFile, part: Path, progress: Progress) -> int:
     """Write HDF5 as MATLAB v7.3 reads it: a user block of 512 bytes that identifies it, and classes as attributes."""
     try:
         import h5py
     except ImportError:
         raise InputError(f"{trial.path}: MATLAB v7.3 needs h5py; say pip install bowden-bench[mat73].") from None
-    names = known_columns(trial)
+    names, rows, done = known_columns(trial), trial.extent.rows, 0
     with h5py.File(part, "w", userblock_size=512) as file:
-        for done, name in enumerate(names, start=1):
-            made = file.create_dataset(name, data=trial.columns[name][np.newaxis, :], compression="gzip")
+        for name in names:
+            made = file.create_dataset(name, (1, rows), "<f8", chunks=(1, min(rows, ROWS_AT_ONCE)), compression="gzip")
             made.attrs["MATLAB_class"] = np.bytes_(b"double")
-            progress(done / len(names))
+        for times, columns in trial.blocks(names):
+            for name in names:
+                file[name][0, done:done + len(times)] = columns[name]
+            done += len(times)
+            progress(done / rows)
         units = file.create_group("units")
         units.attrs["MATLAB_class"] = np.bytes_(b"struct")
         for name in names:
@@ -200,16 +251,27 @@ def _matlab73(trial: Trial, part: Path, progress: Progress) -> int:
             made.attrs["MATLAB_int_decode"] = np.int32(2)
     with part.open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64, HDF5 schema 1.00 .".ljust(124) + b"\x00\x02IM")
-    return len(trial.time_ns)
+    return rows
 
 
-def _candump(trial: Trial, part: Path, progress: Progress) -> int:
-    candump.write(part, trial.frames, progress)
-    return len(trial.frames)
+def _candump(trial: TrialFile, part: Path, progress: Progress) -> int:
+    count = 0
+    with part.open("w", encoding="ascii") as file:
+        for frames in _frames(trial, progress):
+            file.writelines(candump.lines(frames))
+            count += len(frames)
+    return count
 
 
-def _can_log(trial: Trial, part: Path, progress: Progress) -> int:
+def _can_log(trial: TrialFile, part: Path, progress: Progress) -> int:
     from trial.convert.python_can import write_log
 
-    write_log(part, trial.frames, progress)
-    return len(trial.frames)
+    return write_log(part, _frames(trial, progress))
+
+
+def _frames(trial: TrialFile, progress: Progress) -> Iterator[NDArray[np.void]]:
+    """Yield the CAN frames by block; progress is by trial time."""
+    _, first, last, _ = trial.extent
+    for frames in trial.frame_blocks():
+        yield frames
+        progress(min(1.0, max(0.0, (int(frames["time_ns"][-1]) - first) / (last - first))) if last > first else 1.0)

@@ -14,7 +14,7 @@ import shutil
 import struct
 import tempfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
 from itertools import chain
 from pathlib import Path
@@ -30,7 +30,7 @@ from parameters import InputError
 from parameters.files import LONGEST_LINE, READ_LIMIT, refuse_special, unpacked_limit
 from trial.convert.frames import ChannelNumbers, Gathered, LoggedFrames, Row
 from trial.mcap_file import cdr
-from trial.read import frames_of
+from trial.read import frame_blocks
 from trial.record import Recorder
 
 ROWS_AT_ONCE = 4096
@@ -90,7 +90,8 @@ class McapReader(BinaryIOMessageReader):
             data = self.file.read(UNPACKED_LIMIT + 1)
         if len(data) > UNPACKED_LIMIT:
             raise InputError(f"{self._where}: larger than {UNPACKED_LIMIT} bytes; unpack it first.")
-        yield from messages(frames_of(data, self._where))
+        for rows in frame_blocks(data, self._where):
+            yield from messages(rows)
 
 
 class McapWriter(SizedMessageWriter):
@@ -293,19 +294,18 @@ def _row(message: can.Message, channels: ChannelNumbers) -> Row:
             channels.number(message.channel), not message.is_rx, data)
 
 
-def write_log(path: Path, rows: NDArray[np.void], progress: Callable[[float], None] = lambda share: None) -> None:
-    """Write frames in the format that the file's ending names (.asc, .blf, .log, .trc …).
-
-    `progress` receives the share done, 0 … 1.
-    """
+def write_log(path: Path, blocks: Iterable[NDArray[np.void]]) -> int:
+    """Write frames in the format that the file's ending names (.asc, .blf, .log, .trc …); returns their number."""
+    count = 0
     try:
         with can.Logger(path) as writer:
-            for done, message in enumerate(messages(rows), start=1):
-                writer.on_message_received(message)
-                if done % ROWS_AT_ONCE == 0 or done == len(rows):
-                    progress(done / len(rows))
+            for rows in blocks:
+                for message in messages(rows):
+                    writer.on_message_received(message)
+                count += len(rows)
     except (ValueError, OSError) as error:
         raise InputError(f"{path}: cannot be written ({error}); give another name.") from None
+    return count
 
 
 __all__ = ["McapReader", "McapWriter", "TrialMessage", "messages", "read_log", "write_log"]

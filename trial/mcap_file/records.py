@@ -24,6 +24,9 @@ from trial.mcap_file import container as mcap
 from trial.mcap_file.cdr import MESSAGE_HEAD
 
 CHUNK_LIMIT = 64 << 20  # one chunk, unpacked; writers in use make chunks of 64 KiB to 16 MiB
+CHECKED_AT_ONCE = 1 << 20
+MAPPED_AT_ONCE = max(1 << 16, mmap.PAGESIZE)
+"""Bytes around a read byte that Linux maps with it (fault_around_bytes)."""
 _HEAD = struct.Struct("<BQ")
 _CHANNEL = struct.Struct("<HH")
 CHUNK_FIELDS = struct.Struct("<QQQI")  # first and last time, size unpacked, checksum
@@ -97,6 +100,23 @@ def mapped(path: str | Path) -> Iterator[mmap.mmap]:
             raise
         reason = "the file is empty" if isinstance(error, ValueError) else error.strerror
         raise InputError(f"{path}: cannot be read ({reason}); give a recorded trial.") from None
+
+
+def release(view: View, begin: int, end: int) -> None:
+    """Drop a file's pages from this process's memory, so that a long file takes no more than a short one."""
+    if isinstance(view, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        begin -= begin % MAPPED_AT_ONCE
+        view.madvise(mmap.MADV_DONTNEED, begin, min(end + MAPPED_AT_ONCE, len(view)) - begin)
+
+
+def checksum(view: View, begin: int, end: int) -> int:
+    """Return the CRC-32 of a part of a file."""
+    crc = 0
+    for at in range(begin, end, CHECKED_AT_ONCE):
+        stop = min(at + CHECKED_AT_ONCE, end)
+        crc = zlib.crc32(view[at:stop], crc)
+        release(view, at, stop)
+    return crc
 
 
 def magic(view: View, path: str | Path) -> None:

@@ -19,11 +19,13 @@ from trial.mcap_file.records import (
     Cursor,
     CutError,
     View,
+    checksum,
     magic,
     read_attachment,
     read_channel,
     read_schema,
     records,
+    release,
     unpack,
 )
 
@@ -96,9 +98,8 @@ def _data_checked(view: View, start: int, path: str | Path) -> bool:
     if end < 0 or (opcode, length) != (mcap.DATA_END, 4):
         raise CutError
     stated = int.from_bytes(view[start - 4:start], "little")
-    with memoryview(view) as whole, whole[:end] as data:
-        if stated and zlib.crc32(data) != stated:
-            raise InputError(f"{path}: bits were changed (checksum); say bowden recover {path} -o FILE.")
+    if stated and checksum(view, 0, end) != stated:
+        raise InputError(f"{path}: bits were changed (checksum); say bowden recover {path} -o FILE.")
     return stated != 0
 
 
@@ -156,6 +157,7 @@ def content(view: View, chunk: ChunkAt, path: str | Path, checked: bool) -> byte
     except (CutError, StopIteration, ValueError) as error:
         reason = f" ({error})" if str(error) else ""
         raise InputError(f"{damaged}{reason}; say bowden recover {path} -o FILE.") from None
+    release(view, chunk.offset, chunk.offset + chunk.length)
     if unpacked != chunk.unpacked:
         raise InputError(f"{damaged} (its index states another size); say bowden recover {path} -o FILE.")
     return data

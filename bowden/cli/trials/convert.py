@@ -130,11 +130,11 @@ def export(
     """
     from bowden import output_files
     from trial.convert.export import export as exported
-    from trial.read import open as opened
+    from trial.read import open_file
 
     output_files.refuse([output], overwrite=overwrite, inputs=[trial])
     with terminal.progress(f"exporting {trial}", shown=not json) as update:
-        rows = exported(opened(trial), output, mat73=mat73, overwrite=overwrite, progress=update)
+        rows = exported(open_file(trial), output, mat73=mat73, overwrite=overwrite, progress=update)
     terminal.emit({"file": str(output), "rows": rows}) if json else print(f"{output}: {rows} rows.")
     return 0
 

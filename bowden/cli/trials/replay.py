@@ -89,12 +89,13 @@ def replay(
     from bowden.replay.schedule import Selection
     from bowden.trials import recorded
     from bowden.trials.force_paths import opened
+    from trial.read import whole
 
     if onto not in ONTO:
         raise InputError(f"--onto {onto}: expected one of {', '.join(ONTO)}; choose where the trial is replayed.")
     _refuse_others(context, f"{onto} --nodes-only" if nodes_only else onto)
     output_files.refuse_ending(output, ".mcap", what="residuals")
-    given = opened(trial, path, whole=onto != "controller")
+    given = whole(opened(trial, path, whole=onto != "controller"))
     refuse_imported(given, onto)
     if onto == "controller":
         return _controller(given, allow_controller, json=json)
