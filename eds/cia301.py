@@ -189,6 +189,7 @@ class Emcy(IntEnum):
     SOFTWARE = 0x6010, 0x01, "software reset (watchdog)"
     DATA_SET = 0x6320, 0x21, "parameter error"
     MOTOR_BLOCKED = 0x7121, 0x21, "motor blocked"
+    COMMUTATION = 0x7122, 0x21, "motor error or commutation malfunction"
     POSITION_SENSOR = 0x7305, 0x21, "incremental sensor fault"
     CAN_OVERRUN = 0x8110, 0x11, "CAN overrun, objects lost"
     CAN_PASSIVE = 0x8120, 0x11, "CAN in error-passive mode"

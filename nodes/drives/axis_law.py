@@ -20,15 +20,15 @@ from physics.drive_loops import loop, velocity_loop
 
 POSITION_INTEGRAL, VELOCITY_INTEGRAL, SATURATED, FOLLOWING, VELOCITY_DEMAND, SPEED_LOW, SPEED_HIGH, LIMITED, YIELDING, \
     TIME_NS, POSITION, VELOCITY, TORQUE, DEMAND, RAMP, TARGET, FRESH, SEGMENT_VELOCITY, SEGMENT_LEFT_S, FOLLOWING_S, \
-    STILL_S, STOP_LEFT_S, START, TENSION, TENSION_AGE_S, FREE_HIGH, TENSION_HIGH, POSITION_BEFORE, APART, EVENTS, \
-    STATES = range(31)
+    STILL_S, STOP_LEFT_S, START, TENSION, TENSION_AGE_S, FREE_HIGH, TENSION_HIGH, POSITION_BEFORE, APART, GAINED, \
+    EVENTS, STATES = range(32)
 """Slots of `s`, the first five `physics.drive_loops.LOOP`; `STATES` is their number."""
 
 KP, KI, KV, KVI, TORQUE_BOUND, SPEED_MAX, FEED_FORWARD, VELOCITY_OFFSET, TORQUE_OFFSET, TORQUE_MAX, TORQUE_HIGH, \
     TORQUE_LOW, UNTRUSTED_TORQUE, HOLD_TORQUE, MODE, PERIOD_S, LOW, HIGH, RESOLUTION, WINDOW, WINDOW_S, \
     DECELERATION, STILL_SPEED, STILL_FOR_S, TENSION_LIMIT, YIELD_PER_N, PRELOAD, SEARCH_SPEED, ZERO_SPEED, \
     HOMING_ACCELERATION, TRAVEL, TARGET_VELOCITY, TARGET_TORQUE, RAW_PER_SI, ORIGIN, MILLE_PER_NM, \
-    APART_LIMIT, SETTINGS = range(38)
+    APART_LIMIT, GAINED_LIMIT, SETTINGS = range(39)
 """Slots of `g`, the first six those of `physics.drive_loops.Gains`; `SETTINGS` is their number."""
 
 LOOP_STATES: Final = len(drive_loops.LOOP)
@@ -37,9 +37,10 @@ GAINS: Final = 6
 OFF, FOLLOW, SPEED, PUSH, STOP, TIGHTEN = range(6)
 """Values of `g[MODE]`: no torque; follow positions; follow a velocity; give a torque; brake; wind in to a tension."""
 
-STOPPED, LOST_TRACK, TIGHT, NOT_TIGHT, DISAGREE = 1, 2, 4, 8, 16
+STOPPED, LOST_TRACK, TIGHT, NOT_TIGHT, DISAGREE, RUNAWAY = 1, 2, 4, 8, 16, 32
 """Bits of `s[EVENTS]`, set here, cleared by the reader: at rest; following error timed out; preload held; preload not
-found within the travel, or without a trusted tension; velocity and position contradict each other."""
+found within the travel, or without a trusted tension; velocity and position contradict each other; the stage drives the axis against
+the torque that is demanded."""
 
 COUNTS: Final = 9
 """Integers that the function `counts` writes."""
@@ -54,6 +55,10 @@ APART_SHARE: Final = 0.1
 """Greatest difference of both ways, as a share of the EDS' following-error window: 0.5 mm of rope, 0.5 degrees of the
 knee.  A narrower window that a user writes does not change it.  Smaller: a velocity that is filtered over 1 ms trips at
 the greatest speeds.  Larger: the axis shakes for longer."""
+GAINED_M_S: Final = 0.02
+"""Speed of winding in, m/s, that a drum gains against its torque before its stage counts as one with the wrong sign.
+Smaller: the noise of a velocity trips. Larger: the drum has more speed when the torque goes; a velocity loop with the
+wrong sign doubles it each millisecond."""
 TRUST_S: Final = 0.05
 """Age beyond which a tension is not trusted; the deadline of its PDO is shorter."""
 YIELD_RATE: Final = 160.0
@@ -73,7 +78,7 @@ def arrays() -> tuple[Any, Any]:
     s, g = np.zeros(STATES), np.zeros(SETTINGS)
     s[TENSION_AGE_S] = math.inf
     g[[TORQUE_BOUND, TORQUE_MAX, TORQUE_HIGH, UNTRUSTED_TORQUE]] = math.inf
-    g[[SPEED_MAX, HIGH, WINDOW, APART_LIMIT, TENSION_LIMIT, TRAVEL]] = math.inf
+    g[[SPEED_MAX, HIGH, WINDOW, APART_LIMIT, GAINED_LIMIT, TENSION_LIMIT, TRAVEL]] = math.inf
     g[LOW], g[TORQUE_LOW] = -math.inf, -math.inf
     g[PERIOD_S], g[RAW_PER_SI], g[MILLE_PER_NM] = 1e-3, 1.0, 1.0
     return s, g
@@ -230,6 +235,18 @@ def act(s: Any, g: Any, mode: int, position: float, velocity: float, dt_s: float
     return float(given)
 
 
+@njit
+def driven(s: Any, g: Any, velocity: float) -> None:
+    """Flag a stage with the wrong sign: the drum winds in faster against the torque of the tick before, `s[TORQUE]`.
+
+    A rope pulls the drum out and never pushes it in, so no load does the same. A leg that swings against its strap does.
+    """
+    gained = velocity - s[VELOCITY]
+    s[GAINED] = s[GAINED] + gained if s[TORQUE] < 0.0 < velocity and gained > 0.0 else 0.0
+    if s[GAINED] > g[GAINED_LIMIT]:
+        tell(s, RUNAWAY)
+
+
 def _compile(digest: int) -> tuple[Any, Any]:
     @njit(cache=True)
     def step(s: Any, g: Any, now_ns: int, position: float, velocity: float) -> float:
@@ -240,6 +257,7 @@ def _compile(digest: int) -> tuple[Any, Any]:
         if g[RESOLUTION] > 0.0:
             position = math.floor(position / g[RESOLUTION] + 0.5) * g[RESOLUTION]
         mode = int(g[MODE])
+        driven(s, g, velocity)
         s[TIME_NS], s[POSITION], s[VELOCITY], s[LIMITED] = now_ns, position, velocity, 0.0
         s[TENSION_AGE_S] += dt_s
         torque = 0.0

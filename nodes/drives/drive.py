@@ -165,6 +165,8 @@ class Drive(ModesOfOperation):
             self.fault(Emcy.FOLLOWING_ERROR, now_ns)
         if events & law.DISAGREE:
             self.fault(Emcy.POSITION_SENSOR, now_ns)
+        if events & law.RUNAWAY:
+            self.fault(Emcy.COMMUTATION, now_ns)
         if events & law.STOPPED:
             self.rested(now_ns)
         if events & law.TIGHT:

@@ -46,6 +46,7 @@ class ServoDrive(Drive):
         g[law.HOLD_TORQUE] = self._limit * units.arm_m
         g[law.YIELD_PER_N] = law.YIELD_RATE / self.number(0x2014)
         g[law.UNTRUSTED_TORQUE] = self.number(0x2015) * units.torque
+        g[law.GAINED_LIMIT] = law.GAINED_M_S
         g[law.PRELOAD] = NEWTON * self.number(0x2010)
         g[law.TRAVEL] = self.number(0x2016) * units.position
 

@@ -1,7 +1,8 @@
 """Bought servo drive of CiA 402 alone: its EDS without the objects of this project, and a simulated node without them.
 
 The rule of this file: the node keeps the objects of the standard and loses what a stock drive does not have: START's
-tension and its limits, the torque bound without START, and the comparison of velocity and position (7305h).
+tension and its limits, the torque bound without START, and the comparisons of velocity with position (7305h) and with
+the torque's sign (7122h).
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ class BoughtServo(ServoDrive):
         """Leave out what only this project's firmware does."""
         super().configure()
         self._limit = self._trip = math.inf
-        self.axis.g[[law.TENSION_LIMIT, law.HOLD_TORQUE, law.UNTRUSTED_TORQUE, law.APART_LIMIT]] = math.inf
+        self.axis.g[[law.TENSION_LIMIT, law.HOLD_TORQUE, law.UNTRUSTED_TORQUE, law.APART_LIMIT,
+                     law.GAINED_LIMIT]] = math.inf
 
 
 def fit(bench: Any) -> None:

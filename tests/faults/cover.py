@@ -13,7 +13,6 @@ from dataclasses import replace
 
 from eds.declaration import SHAPES
 from tests.faults import argument
-from tests.faults.rows import UNLIMITED
 from tests.faults.stage import OF_GAIT, OF_MOTION, Row, Walk
 
 CONTROLLERS, PERIODS = ("paper", "extended", "none", "friction", "impedance"), (1.1, 2.0, 3.0)
@@ -28,8 +27,6 @@ MOTIONS = (*(Walk(motion=motion, shape=shape) for motion in ("home", "jog") for 
 ON_ONE_BENCH = (argument.FOREIGN, argument.TARGETS, argument.ALTERED, argument.OTHER_BENCH)
 """Actions whose rows name frames of the paper's bench."""
 DRAGGED = "a leg that falls pulls the antagonist's rope off a drum without torque, which drags"
-ENABLING = {"servo stage reversed": UNLIMITED}
-"""Rows that cannot keep the bounds while drives are enabled, and why."""
 STEP = 7
 """Step of the rotation from fault to fault: without a common divisor with the number of gaits."""
 
@@ -62,9 +59,7 @@ def sample(rows: Sequence[Row], *, whole: bool = False, motions: bool = True) ->
             for walk, at in turns.items():
                 errors = tuple(name for name in row.named if name.startswith("program failed"))
                 mine = replace(row, moments=tuple(at), walks=(walk,), named=errors, quiet=True)
-                if walk.motion != "gait" and row.name in ENABLING:
-                    mine = replace(mine, unstoppable=ENABLING[row.name], excused=())
-                elif walk.shape == "bench_antagonists" and not row.unstoppable:
+                if walk.shape == "bench_antagonists" and not row.unstoppable:
                     mine = replace(mine, unstoppable=DRAGGED, excused=("slack_ms",))
                 found.setdefault(walk, []).append(mine)
     return found

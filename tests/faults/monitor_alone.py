@@ -116,7 +116,8 @@ def weak_link() -> Any:
 
 
 class _Bought:
-    """While it lasts, drives have no tension limit, no comparison of velocity and position and no step limit."""
+    """While it lasts, drives have no tension limit, no step limit and no comparison of velocity with position
+    and with the torque's sign."""
 
     ABSENT: Final = frozenset({0x2012, 0x2013, 0x2017, 0x2018})
 
@@ -130,7 +131,7 @@ class _Bought:
 
         def of_any(drive: Any) -> None:
             plain(drive)
-            drive.axis.g[axis_law.APART_LIMIT] = math.inf
+            drive.axis.g[[axis_law.APART_LIMIT, axis_law.GAINED_LIMIT]] = math.inf
 
         self._patches = [
             patch.object(ServoDrive, "configure", of_servo), patch.object(Drive, "configure", of_any),

@@ -245,7 +245,8 @@ ROWS: tuple[Row, ...] = (
 )
 
 VELOCITY: tuple[Row, ...] = (
-    Row("servo's velocity feedback reversed", sensed(servo_velocity_m_s=lambda value, t: -value), (SERVO_ENCODER,)),
+    Row("servo's velocity feedback reversed", sensed(servo_velocity_m_s=lambda value, t: -value),
+        (SERVO_ENCODER, names.emergency("servo", 0x7122))),
     Row("servo's velocity feedback zero", sensed(servo_velocity_m_s=lambda value, t: 0.0), (SERVO_ENCODER,)),
     Row("servo's velocity feedback × 0.5", sensed(servo_velocity_m_s=lambda value, t: 0.5 * value), (SERVO_ENCODER,)),
 )

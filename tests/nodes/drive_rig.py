@@ -169,7 +169,7 @@ class DriveRig(NodeBus):
         self.target: int | None = None
         self.feeds_tension = node_id == SERVO
         self.master_lives = True
-        self.velocity_share = 1.0
+        self.velocity_share = self.torque_share = 1.0
         self.cyclic = False
         super().__init__(node_id, mechanics=self)
 
@@ -179,7 +179,7 @@ class DriveRig(NodeBus):
         """Move the plant under the drive's torque; the mechanics of `CanopenNode`."""
         self.torque = torque
         self.torques.append(torque)
-        self.plant.step(torque, for_ns)
+        self.plant.step(self.torque_share * torque, for_ns)
         return self.plant.position, self.velocity_share * self.plant.velocity
 
     def run(self, for_ms: float) -> None:

@@ -171,6 +171,30 @@ def test_an_encoder_whose_scale_is_off_is_a_fault_within_a_degree_of_the_leg() -
     assert 0.13 / 1.13 * abs(rig.read(0x6064)) < 1_000
 
 
+def test_a_servo_with_two_phases_swapped_is_let_go_before_the_drum_has_speed() -> None:
+    """The loop pushes away from where it holds; a following error let the drum gain 0.8 m/s."""
+    rig = DriveRig(SERVO).enabled()
+    rig.run(20)
+    rig.torque_share = -1.0
+    rig.plant.velocity = 1e-4
+    rig.run(60)
+    assert rig.emergencies() == [0x7122]
+    assert rig.state() is State.FAULT
+    assert 0.0 < rig.plant.velocity < 0.05
+
+
+def test_a_rope_that_pulls_the_drum_out_is_no_swapped_stage() -> None:
+    rig = DriveRig(SERVO, servo_mass(stiffness=5_000.0)).enabled()
+    for target in range(0, 8_000, 200):
+        rig.target = target
+        rig.run(1)
+    rig.plant.load = 300.0
+    rig.run(5)
+    rig.plant.load = 0.0
+    rig.run(30)
+    assert 0x7122 not in rig.emergencies()
+
+
 def test_the_greatest_speed_is_no_contradiction() -> None:
     rig = DriveRig(SERVO).enabled()
     for target in range(0, 100_000, 900):
