@@ -39,8 +39,8 @@ OFF, FOLLOW, SPEED, PUSH, STOP, TIGHTEN = range(6)
 
 STOPPED, LOST_TRACK, TIGHT, NOT_TIGHT, DISAGREE, RUNAWAY = 1, 2, 4, 8, 16, 32
 """Bits of `s[EVENTS]`, set here, cleared by the reader: at rest; following error timed out; preload held; preload not
-found within the travel, or without a trusted tension; velocity and position contradict each other; the stage drives the axis against
-the torque that is demanded."""
+found within the travel, or without a trusted tension; velocity and position contradict each other; the stage drives the
+drum against the torque that is demanded."""
 
 COUNTS: Final = 9
 """Integers that the function `counts` writes."""
@@ -239,7 +239,7 @@ def act(s: Any, g: Any, mode: int, position: float, velocity: float, dt_s: float
 def driven(s: Any, g: Any, velocity: float) -> None:
     """Flag a stage with the wrong sign: the drum winds in faster against the torque of the tick before, `s[TORQUE]`.
 
-    A rope pulls the drum out and never pushes it in, so no load does the same. A leg that swings against its strap does.
+    A rope pulls the drum out and never pushes it in, so no load does that. A leg that swings against its strap does.
     """
     gained = velocity - s[VELOCITY]
     s[GAINED] = s[GAINED] + gained if s[TORQUE] < 0.0 < velocity and gained > 0.0 else 0.0
