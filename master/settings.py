@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from parameters import apart, parameter
+from parameters import InputError, apart, parameter
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,41 @@ class Gait:
         source="assumed: half; benches of two ropes on one joint only")
     idle_slack_m: float = parameter(3e-3, "m", "rope paid out while no force is desired", low=0.0, high=20e-3,
                                     source="assumed: keeps END below 1 N through the swing, rope on its drum")
+
+
+@dataclass(frozen=True)
+class Walk:
+    """Strides that differ, in place of one that repeats: how they are drawn, and whose phase the force follows."""
+
+    strides: int = parameter(0, "", "strides of --knee to play in random order; 0: its first one repeats",
+                             low=0, high=10_000, source="docs/walking.md")
+    seed: int = parameter(0, "", "seed of the drawn order and variations", low=0, high=2**31 - 1, source="--seed")
+    period_share: float = parameter(0.08, "", "a stride's period is drawn evenly within ± this share", low=0.0,
+                                    high=0.3, source="assumed: people do not walk to a clock")
+    amplitude_share: float = parameter(0.10, "", "a stride's amplitude is drawn evenly within ± this share", low=0.0,
+                                       high=0.3, source="assumed: people do not walk a table")
+    stumbles: int = parameter(0, "", "strides in which the wearer stumbles", low=0, high=1000, source="docs/walking.md")
+    stops: int = parameter(0, "", "times that the wearer stops, stands for 2 s and goes on", low=0, high=1000,
+                           source="docs/walking.md")
+    sits: int = parameter(0, "", "times that the wearer sits down for 2 s, rises and goes on", low=0, high=1000,
+                          source="docs/walking.md")
+    phase: str = parameter("", "", "what the desired force follows: clock, or felt, from the knee angle alone; empty: "
+                           "felt with strides, else clock", source="docs/walking.md")
+    departure_rad: float = parameter(
+        0.03, "rad", "standard deviation of a stride from the mean stride at equal phase", low=1e-3, high=0.2,
+        source="eleven strides of one walker: 1.7 degrees; docs/walking.md")
+
+    @property
+    def felt(self) -> bool:
+        """Whether the desired force follows a felt phase; raises `InputError` for an unknown one."""
+        if self.phase not in ("", "clock", "felt"):
+            raise InputError(f"walk.phase = {self.phase!r}, expected clock or felt; choose one.")
+        return self.phase == "felt" or (not self.phase and self.strides > 0)
+
+    @property
+    def differs(self) -> bool:
+        """Whether strides differ or their phase is felt: anything but one stride that repeats on the clock."""
+        return self.strides > 0 or self.felt
 
 
 @dataclass(frozen=True)

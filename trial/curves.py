@@ -7,8 +7,10 @@ encoding are detected.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -51,6 +53,10 @@ ACCEPTED = {  # column asked for: (axis, column) pairs a file may have
     "desired_force_n": (("time_s", FORCE), ("gait_percent", FORCE)),
 }
 LEAST_ROWS = 8
+STRIDE_COLUMNS = ("stride", "cycle")
+"""Columns that number the strides of a file."""
+SEAM_SHARE = 0.1
+"""Distance from a repetition, in parts of the stride, within which its greatest extension is looked for."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,8 @@ class Curve:
         """Return in one sentence how the file was processed."""
         parts = [f"{len(self.values)} samples"]
         if self.strides > 1:
-            parts.append(f"the first of {self.strides} strides of {self.stride_s:.2f} s, from {self.begins:g} s")
+            timed = f" of {self.stride_s:.2f} s, from {self.begins:g} s" if math.isfinite(self.stride_s) else ""
+            parts.append(f"the first of {self.strides} strides{timed}")
         if self.bridged:
             parts.append(f"{self.bridged} missing values bridged")
         if self.trimmed:
@@ -89,6 +96,9 @@ def read_curve(path: str | Path, column: str) -> Curve:
     path = Path(path)
     sheet = csv_file.read(path)
     axis, quantity, along_name = _header(sheet, path, column)
+    numbered = _numbered(sheet, path)
+    if numbered and axis.name == "gait_percent":
+        return dataclasses.replace(_stride_of(sheet, numbered[0], column, path), strides=len(numbered))
     along, values = _numbers(sheet, along_name, quantity, path)
     along, values, trimmed = _trim(along, values)
     if len(along) < LEAST_ROWS:
@@ -104,6 +114,74 @@ def read_curve(path: str | Path, column: str) -> Curve:
     return Curve(path, column, percent, values[begin:end], strides, stride_s, float(along[begin]), bridged, trimmed)
 
 
+def read_strides(path: str | Path) -> list[Curve]:
+    """Read every stride of the knee angle in a CSV file, each as a curve of its own; raises `InputError`.
+
+    Strides are numbered by a column `stride` or `cycle`, negative numbers being no stride.  Without one, a recording
+    in time is cut at the greatest extension nearest to each repetition, and a file by `gait_percent` is one stride.
+    """
+    path, column = Path(path), "knee_angle_rad"
+    sheet = csv_file.read(path)
+    axis, quantity, along_name = _header(sheet, path, column)
+    numbered = _numbered(sheet, path)
+    if numbered:
+        return [_stride_of(sheet, rows, column, path) for rows in numbered]
+    whole = read_curve(path, column)
+    if axis.name == "gait_percent" or whole.strides == 1:
+        return [whole]
+    along, values, _trimmed = _trim(*_numbers(sheet, along_name, quantity, path))
+    along, values = _bridge(along, values, axis, path)
+    return [Curve(path, column, 100.0 * (along[a:b] - along[a]) / (along[b] - along[a]), values[a:b], 1,
+                  float(along[b] - along[a]), float(along[a]), 0, 0)
+            for a, b in pairwise(_seams(along, values, whole))]
+
+
+def _seams(along: Floats, values: Floats, first: Curve) -> list[int]:
+    """Return the rows at which strides begin: the greatest extension within a tenth of each repetition."""
+    seams = []
+    for k in range(first.strides + 1):
+        near = np.flatnonzero(np.abs(along - first.begins - k * first.stride_s) < SEAM_SHARE * first.stride_s)
+        if len(near):
+            seams.append(int(near[np.argmax(values[near])]))
+    return seams
+
+
+def _numbered(sheet: LabTable, path: Path) -> list[slice]:
+    """Return the rows of each stride by the column that numbers them; none without one that counts beyond a stride."""
+    name = next((name for name in STRIDE_COLUMNS if name in sheet), None)
+    if name is None:
+        return []
+    numbers = sheet.column(name)
+    if np.isnan(numbers).any():
+        raise InputError(f"{path}: row {sheet.rows[int(np.flatnonzero(np.isnan(numbers))[0])]} has no {name}; every "
+                         "row needs it.")
+    seams = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
+    found = [slice(a, b) for a, b in pairwise(seams) if numbers[a] >= 0.0]
+    begun = [numbers[rows.start] for rows in found]
+    if len(set(begun)) < len(begun):
+        again = next(rows for i, rows in enumerate(found) if begun[i] in begun[:i])
+        raise InputError(f"{path}: row {sheet.rows[again.start]}: {name} = {numbers[again.start]:g} comes a second "
+                         "time; number each stride once.")
+    return found if len(found) > 1 else []
+
+
+def _stride_of(sheet: LabTable, rows: slice, column: str, path: Path) -> Curve:
+    """Return one numbered stride of a file."""
+    axis, quantity, along_name = _header(sheet, path, column)
+    along, values, trimmed = _trim(*_numbers(sheet, along_name, quantity, path, rows))
+    where = f"{path}, stride from row {sheet.rows[rows.start]}"
+    if len(along) < LEAST_ROWS:
+        raise InputError(f"{where}: {len(along)} rows with a value, expected {LEAST_ROWS} or more; leave it out.")
+    bridged = int(np.isnan(values).sum())
+    along, values = _bridge(along, values, axis, path)
+    if axis.name == "gait_percent":
+        _covers(along, path)
+        return Curve(path, column, along, values, 1, math.nan, float(along[0]), bridged, trimmed)
+    stride_s = float(along[-1] - along[0]) * len(along) / (len(along) - 1)
+    return Curve(path, column, 100.0 * (along - along[0]) / stride_s, values, 1, stride_s, float(along[0]), bridged,
+                 trimmed)
+
+
 def _header(sheet: LabTable, path: Path, column: str) -> tuple[Abscissa, Quantity, str]:
     for axis, quantity in ACCEPTED[column]:
         if axis in sheet and quantity.name in sheet:
@@ -113,22 +191,24 @@ def _header(sheet: LabTable, path: Path, column: str) -> tuple[Abscissa, Quantit
                      f"{expected}, name them so.")
 
 
-def _numbers(sheet: LabTable, axis: str, quantity: Quantity, path: Path) -> tuple[Floats, Floats]:
-    along, values = sheet.column(axis), sheet.column(quantity.name) * quantity.factor
+def _numbers(sheet: LabTable, axis: str, quantity: Quantity, path: Path, rows: slice = slice(None)
+             ) -> tuple[Floats, Floats]:
+    along, values = sheet.column(axis)[rows], sheet.column(quantity.name)[rows] * quantity.factor
+    numbers = sheet.rows[rows]
     stated = sheet.unit(quantity.name)
     if stated and stated.replace("°", "deg") != quantity.unit:
         raise InputError(f"{path}: {quantity.name} is in {stated} by the row of units; rename or convert the column.")
     unknown = np.flatnonzero(np.isnan(along))
     if len(unknown):
-        raise InputError(f"{path}: row {sheet.rows[unknown[0]]} has no {axis}; every row needs it.")
+        raise InputError(f"{path}: row {numbers[unknown[0]]} has no {axis}; every row needs it.")
     falls = np.flatnonzero(np.diff(along) <= 0)
     if len(falls):
         at = falls[0] + 1
-        raise InputError(f"{path}: row {sheet.rows[at]}: {axis} = {along[at]:g} does not rise, {along[at - 1]:g} came "
+        raise InputError(f"{path}: row {numbers[at]}: {axis} = {along[at]:g} does not rise, {along[at - 1]:g} came "
                          "before; sort the rows.")
     odd = np.flatnonzero((values < quantity.low) | (values > quantity.high))
     if len(odd):
-        raise InputError(f"{path}: row {sheet.rows[odd[0]]}: {quantity.name} = {values[odd[0]] / quantity.factor:g} is "
+        raise InputError(f"{path}: row {numbers[odd[0]]}: {quantity.name} = {values[odd[0]] / quantity.factor:g} is "
                          f"not believable: {quantity.doubt}.")
     return along, values
 

@@ -20,11 +20,14 @@ from parameters import InputError, checked, declarations, from_table, read_toml,
 SECTIONS: dict[str, tuple[str, str]] = {
     "network": ("eds.bench.bench_network", "Network"),
     "gait": ("master.settings", "Gait"),
+    "walk": ("master.settings", "Walk"),
     "impedance": ("master.settings", "Impedance"),
     "limits": ("master.settings", "Limits"),
     "homing": ("master.settings", "Homing"),
     "record": ("master.settings", "Record"),
 }
+OPTIONAL = ("walk",)
+"""Sections that a trial carries only where one of their values is not the default."""
 DEVICES: dict[str, tuple[str, str]] = {
     "servo": ("eds.device_mapping", "ServoMapping"),
     "knee": ("eds.device_mapping", "KneeMapping"),
@@ -128,6 +131,11 @@ def _bench(mappings: Mapping[str, Any], arrays: Mapping[str, Any], path: Path | 
     return bench.mapped({bench.named(name).node_id: mapping for name, mapping in mappings.items()})
 
 
+def drawn(walk: Any, seed: int | None) -> Any:
+    """Return the walk section with the seed of an option, where strides are drawn."""
+    return walk if seed is None or not walk.strides else dataclasses.replace(walk, seed=seed)
+
+
 def homing(section: Any, least_n: float | None) -> Any:
     """Return the homing section with the START tension, N, that `--homing-n` allows it whatever the peak is."""
     if least_n is None:
@@ -163,7 +171,8 @@ def as_text(sections: Mapping[str, Any]) -> str:
 
     bench = sections["network"].bench
     same = bench.shape == packaged().shape
-    tables = {**sections, **(bench.other_devices if same else {})}
+    tables = {name: section for name, section in sections.items() if name not in OPTIONAL or section != type(section)()}
+    tables |= bench.other_devices if same else {}
     return "\n".join((*(f"[{name}]\n{_lines(section)}" for name, section in tables.items()),
                       *_own_lines(sections.get("limits")),
                       *([f'[monitor]\nfile = "{PERSON}"\n'] if sections["network"].monitor else []),

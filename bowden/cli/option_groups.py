@@ -47,6 +47,24 @@ class WalkOptions(NamedTuple):
             "tuning": ("--set", None if self.tuning is None else ", ".join(self.tuning))})
 
 
+class StrideOptions(NamedTuple):
+    """Options of strides that differ; None uses the configuration."""
+
+    strides: options.Strides = None
+    stumbles: options.Stumbles = None
+    stops: options.Stops = None
+    sits: options.Sits = None
+    phase: options.Phase = None
+
+    def walk(self, section: Any, seed: int | None) -> Any:
+        """Return the configuration's `section`, overridden by the options, drawn by `seed`."""
+        from bowden.bench.configuration import drawn, override
+
+        return drawn(override(section, {
+            "strides": ("--strides", self.strides), "stumbles": ("--stumbles", self.stumbles),
+            "stops": ("--stops", self.stops), "sits": ("--sits", self.sits), "phase": ("--phase", self.phase)}), seed)
+
+
 class SimulatedOptions(NamedTuple):
     """Options of simulated benches only; None if not given."""
 

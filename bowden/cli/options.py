@@ -90,6 +90,13 @@ Controller = Annotated[str | None, typer.Option(
 Tuning = Annotated[list[str] | None, typer.Option(
     "--set", metavar="NAME=VALUE", help="A parameter that the controller declares; repeatable.")]
 Knee = Annotated[Path | None, _file("Knee motion, CSV of time_s, knee_angle_rad or gait_percent, knee_angle_deg.")]
+Strides = Annotated[int | None, _given(
+    "Strides of --knee FILE to play in random order, varied, by --seed.", metavar="COUNT")]
+Stumbles = Annotated[int | None, _given("Strides in which the wearer stumbles (default 0).", metavar="COUNT")]
+Stops = Annotated[int | None, _given("Times that the wearer stops and goes on (default 0).", metavar="COUNT")]
+Sits = Annotated[int | None, _given("Times that the wearer sits down and goes on (default 0).", metavar="COUNT")]
+Phase = Annotated[str | None, _given(
+    "What the force follows: clock, or felt, from the knee alone (default with --strides).", metavar="NAME")]
 Desired = Annotated[Path | None, _file("Desired force, CSV of time_s or gait_percent and desired_force_n.")]
 Calibration = Annotated[Path | None, _file("Bench model to work from (default: the packaged nominal one).")]
 Script = Annotated[str | None, typer.Option(

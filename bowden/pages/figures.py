@@ -19,7 +19,7 @@ from bowden.progress import SILENT, Progress
 from eds.bench import bus_load
 from eds.bench.bench_network import wire
 from parameters import InputError
-from trial import metrics, read
+from trial import metrics, read, stride_figures
 from trial.paths import one_path
 from trial.truth_file import open_truth
 
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from master.motion.experiment_run import ExperimentSetup, Result
 
 Floats = NDArray[np.float64]
+UNCOUNTED = 10**9
+"""More gait cycles than any trial has: strides and rests of a drawn walk all count."""
 
 
 def figures(
@@ -44,12 +46,14 @@ def figures(
     if paths:
         return _of_paths(experiment, result, output, truth, wall_s, paths, recorded, serial=serial, simulated=simulated,
                          progress=progress)
-    found = _of_force(recorded, truth, gait.peak_n, experiment, progress)
+    found: dict[str, Any] = {**_of_force(recorded, truth, gait.peak_n, experiment, progress)}
+    if experiment.walk.differs:
+        found["walk"] = None if recorded is None else _of_strides(experiment, recorded, truth, progress)
     return {
         "trial": str(output),
         "peak_n": gait.peak_n,
         "period_s": gait.period_s,
-        "cycles": gait.cycles,
+        "cycles": experiment.walk.strides or gait.cycles,
         "rate_hz": network.rate_hz,
         "serial": serial,
         "controller": gait.controller,
@@ -64,6 +68,26 @@ def figures(
         "outcome": result.outcome,
         "stop_reason": result.stop_reason,
     }
+
+
+def _of_strides(
+    experiment: ExperimentSetup, recorded: read.TrialFile, truth: Path | None, progress: Progress
+) -> dict[str, Any] | None:
+    """Return the figures of a walk stride by stride; None where it did not come to its first stride."""
+    side = None if truth is None else _opened(truth, progress)
+    true = None if side is None else TrueEnd(side, "")
+    blocks = [(columns, None if true is None else true.at(times))
+              for times, columns in recorded.blocks(stride_figures.NEEDED)]
+    columns = {name: np.concatenate([block[name] for block, _ in blocks]) for name in stride_figures.NEEDED}
+    percent = columns["stride_percent"]
+    if not np.isfinite(percent).any():
+        return None
+    desired = np.array([experiment.reference.desired_force(at / 100.0) if math.isfinite(at) else 0.0
+                        for at in percent.tolist()])
+    ends = [end for _, end in blocks if end is not None]
+    return stride_figures.figures(
+        columns, desired, peak_n=experiment.gait.peak_n, rate_hz=experiment.network.rate_hz,
+        settle=experiment.gait.settle, true_end_n=np.concatenate(ends) if ends else None)
 
 
 def _of_paths(
@@ -113,8 +137,9 @@ def _of_force(
         for times, columns in recorded.blocks(metrics.NEEDED):
             yield columns if true is None else {**columns, metrics.TRUE_END: true.at(times)}
 
-    return metrics.figures_of_blocks(blocks, peak_n=peak_n, rate_hz=experiment.network.rate_hz,
-                                     cycles=experiment.gait.cycles, settle=experiment.gait.settle)
+    cycles = UNCOUNTED if experiment.walk.strides else experiment.gait.cycles
+    return metrics.figures_of_blocks(blocks, peak_n=peak_n, rate_hz=experiment.network.rate_hz, cycles=cycles,
+                                     settle=experiment.gait.settle)
 
 
 def _opened(truth: Path, progress: Progress) -> read.TrialFile | None:

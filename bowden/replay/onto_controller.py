@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bowden.replay.comparison import Comparison
 from eds.bench.bench_network import WireLayout, wire
 from estimation.transfer.homing_fit import HomingFit
-from master.control.controller import Kind, signals
+from master.control.controller import Kind
 from master.cycle.inputs import NOTHING, CycleAnnotations, Inputs
 from master.cycle.safety import StopError
 from master.motion.experiment_run import ExperimentSetup, Planned
@@ -132,7 +132,7 @@ def step_again(
     planned = Planned(experiment)
     planned.homed = Homed(math.nan, _day(recorded, experiment, planned.kind))
     recording = RecordedInputs(recorded, wire(experiment.network), walked(recorded), progress,
-                               tuple(signal.name for signal in signals(planned.kind)))
+                               tuple(signal.name for signal in planned.own_signals))
     with contextlib.suppress(EndedError, StopError):
         planned.walk(recording)
     return recording

@@ -107,14 +107,15 @@ def not_run(outcome: str, reason: str) -> dict[str, Any]:
 
 
 def _figures(row: Row, calibration: str, place: Path, folder: Path) -> dict[str, Any]:
-    sections = {name: table(row, name) for name in ("network", "impedance", "limits", "homing")}
+    sections = {name: table(row, name) for name in ("network", "impedance", "limits", "homing", "walk")}
     course, sections["gait"] = reference(row, ("gait.period_s",))
     given = str(row["files.calibration"])
     path = None if given == NOMINAL else Path(given)
     if given == IDENTIFIED:
         path = folder / "calibration.toml"
         path.write_text(calibration, encoding="utf-8")
-    prepared = session.prepare(sections, course, path, chosen(row), dry_run=False, files=attached(row))
+    prepared = session.prepare(sections, course, path, chosen(row), dry_run=False, files=attached(row),
+                               knee=Path(str(row["files.knee"])) if row["files.knee"] else None)
     departing = dataclasses.replace(prepared.experiment, motion=motion(course, table(row, "departure")))
     return session.perform(dataclasses.replace(prepared, experiment=departing), place, overwrite=True)
 

@@ -293,7 +293,8 @@ def reference(row: Row, varied: Container[str]) -> tuple[Reference, Gait]:
     files = table(row, "files")
     knee, desired = (Path(file) if file else None for file in (files.knee, files.desired))
     built, gait, _ = session.reference(table(row, "gait"), knee, desired, period_given="gait.period_s" in varied,
-                                       peak_given="gait.peak_n" in varied)
+                                       peak_given="gait.peak_n" in varied, walk=table(row, "walk"),
+                                       rate_hz=table(row, "network").rate_hz)
     return built, gait
 
 

@@ -22,6 +22,7 @@ from parameters import InputError
 
 GAIT = "gait"
 _OF_GAIT = ("peak_n", "period_s", "cycles", "settle", "soft_start", "controller", "idle_slack_m")
+_OF_WALK = ("strides", "stumbles", "stops", "sits", "phase")
 _OF_NETWORK = ("rate_hz", "bitrate")
 
 
@@ -32,8 +33,10 @@ class Experiment:
     `peak_n`: peak of the desired force, N. `period_s`: gait period, s. `cycles`: gait cycles; the first `settle` of
     them are left out of every figure; `soft_start` more come before, over which the peak rises. `controller`: a name
     of the entry-point group bowden.controllers, "module:Class", or the class itself. `rate_hz`: control cycles per
-    second. `knee`, `desired`: CSV files of the knee motion and of the desired force, in place of the paper's. `name`:
-    "gait", or an experiment of `bowden trial --experiment`. `model`: the controller's bench model or its file (None:
+    second. `strides`: strides of `knee` to play in random order, in place of its first one again and again, drawn by
+    the bus's seed; `stumbles`, `stops` and `sits` are drawn among them. `phase`: "felt", which is the default with
+    `strides`, or "clock". `knee`, `desired`: CSV files of the knee motion and of the desired force, in place of the
+    paper's. `name`: "gait", or an experiment of `bowden trial --experiment`. `model`: the controller's bench model or its file (None:
     the packaged nominal one). `dry_run`: everything on the bus, drives never enabled. `configuration`: a bench.toml.
     """
 
@@ -44,6 +47,11 @@ class Experiment:
     soft_start: int | None = None
     controller: str | type[Any] | None = None
     idle_slack_m: float | None = None
+    strides: int | None = None
+    stumbles: int | None = None
+    stops: int | None = None
+    sits: int | None = None
+    phase: str | None = None
     rate_hz: int | None = None
     bitrate: int | None = None
     knee: str | Path | None = None
@@ -58,15 +66,18 @@ class Experiment:
         sections = configuration.read(None if self.configuration is None else Path(self.configuration))
         sections["network"] = self._overridden(sections["network"], _OF_NETWORK)
         knee, desired = (None if given is None else Path(given) for given in (self.knee, self.desired))
+        sections["walk"] = configuration.drawn(
+            self._overridden(sections["walk"], _OF_WALK), bus.arguments.get("seed"))
         reference, sections["gait"], notes = session.reference(
             self._overridden(sections["gait"], _OF_GAIT), knee, desired, period_given=self.period_s is not None,
-            peak_given=self.peak_n is not None)
+            peak_given=self.peak_n is not None, walk=sections["walk"], rate_hz=sections["network"].rate_hz)
         for note in notes:
             progress.remark(note)
         model = None if self.model is None else self._model(bus)
         return session.prepare(
             sections, reference, model, bus, dry_run=self.dry_run,
-            files=provenance.curves(knee=knee, desired=desired), script=None if self.name == GAIT else self.name)
+            knee=knee, files=provenance.curves(knee=knee, desired=desired),
+            script=None if self.name == GAIT else self.name)
 
     def _overridden(self, section: Any, names: tuple[str, ...]) -> Any:
         given = {name: getattr(self, name) for name in names}

@@ -39,7 +39,7 @@ def metadata(experiment: ExperimentSetup, script: str = "") -> dict[str, str]:
         "peak_n": repr(gait.peak_n),
         "period_s": repr(gait.period_s),
         "course": course(experiment),
-        "cycles": str(gait.cycles),
+        "cycles": str(experiment.walk.strides or gait.cycles),
         "settle": str(gait.settle),
         "rate_hz": str(experiment.network.rate_hz),
         "bitrate": str(experiment.network.bitrate),
@@ -66,7 +66,10 @@ def course(experiment: ExperimentSetup) -> str:
     wanted = [experiment.reference.at(i / 100) for i in range(100)]
     numbers = [round(value * 1e6) for i, at in enumerate(wanted)
                for value in (at.knee_angle_rad, at.force_n, followed.knee_angle(i / 100))]
-    return sha256(repr((numbers, round(followed.period_s * 1e9))).encode()).hexdigest()[:16]
+    told: tuple[Any, ...] = (numbers, round(followed.period_s * 1e9))
+    if experiment.strides:
+        told += ([[round(angle * 1e6) for angle in stride.angle_rad] for stride in experiment.strides], experiment.walk)
+    return sha256(repr(told).encode()).hexdigest()[:16]
 
 
 def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[str, bytes]:

@@ -50,12 +50,14 @@ def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = 
                              f"code, then say --allow-controller {named}, or install it as an entry point.")
         knee, desired = (folder / f"{part}.csv" if f"{part}.csv" in recorded.attachments else None for part in CURVES)
         reference, chosen["gait"], _ = session.reference(
-            chosen["gait"], knee, desired, period_given=True, peak_given=False)
+            chosen["gait"], knee, desired, period_given=True, peak_given=False, walk=chosen["walk"],
+            rate_hz=chosen["network"].rate_hz)
         reference = force_paths.reference_of(
             reference, recorded.metadata.get("acts", ""), chosen["gait"].co_contraction)
         model = folder / provenance.CONTROLLER_MODEL
         made = ExperimentSetup(
             reference=reference, calibration=read(folder / "calibration.toml"),
+            strides=session.strides(knee, chosen["walk"]),
             **session.beyond(model if model.exists() else None), dry_run=recorded.metadata.get("dry_run") == "true",
             targets=repeated_motion.targets_of(recorded.attachments), **chosen)
     if recorded.metadata.get("course", provenance.course(made)) != provenance.course(made):

@@ -61,6 +61,8 @@ def prepared(given: Path, sections: Mapping[str, Any], chosen: BusSettings, allo
         raise InputError(f"{given}: --motion-of needs a trial that moved the bench to its end.")
     setup = recorded.experiment(trial, allowed=allowed)
     rate_hz = sections["network"].rate_hz
+    if setup.walk.differs:
+        raise InputError(f"{given}: its force follows strides that differ; --motion-of repeats a gait on the clock.")
     if setup.network.rate_hz != rate_hz:
         raise InputError(f"{given}: its targets are for {setup.network.rate_hz} Hz, the network runs {rate_hz}; say "
                          f"--rate {setup.network.rate_hz}.")

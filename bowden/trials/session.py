@@ -27,9 +27,10 @@ if TYPE_CHECKING:
     from master.motion.experiment_run import ExperimentSetup, Planned, Result
     from master.motion.paths_run import PlannedPaths
     from master.motion.scripted_experiments import Scripted
-    from master.settings import Gait
+    from master.settings import Gait, Walk
     from physics.bench_model import BenchModel
     from physics.reference import Reference
+    from physics.stride_walk import Stride
     from trial.record import Recorder
 
 
@@ -67,7 +68,7 @@ class Prepared:
         """Number of gait cycles, or laps of the script."""
         from master.motion.scripted_experiments import laps
 
-        cycles = self.experiment.gait.cycles
+        cycles = self.experiment.walk.strides or self.experiment.gait.cycles
         return laps(self.script, cycles) if self.script else cycles
 
     def planned(self) -> Planned | Scripted | PlannedPaths:
@@ -104,16 +105,38 @@ def refuse_no_logbook(folder: Path | None) -> None:
         open_logbook(folder).close()
 
 
+def strides(knee: Path | None, walk: Walk) -> tuple[Stride, ...]:
+    """Return the strides of a knee file that a walk plays in random order; none where one repeats."""
+    from physics.stride_walk import Stride
+    from trial.curves import read_strides
+
+    if knee is None or not walk.strides:
+        return ()
+    return tuple(Stride(one.percent, one.values, one.stride_s) for one in read_strides(knee))
+
+
 def reference(
-    gait: Gait, knee: Path | None, desired: Path | None, *, period_given: bool, peak_given: bool
+    gait: Gait, knee: Path | None, desired: Path | None, *, period_given: bool, peak_given: bool,
+    walk: Walk | None = None, rate_hz: int = 1000,
 ) -> tuple[Reference, Gait, list[str]]:
-    """Build the reference from the paper's formulas or from files; `gait` comes back with their period and peak."""
+    """Build the reference from the paper's formulas or from files; `gait` comes back with their period and peak.
+
+    The knee of a `walk` of several strides is their mean.
+    """
     from physics import reference as law
+    from physics import stride_walk
     from trial.curves import read_curve
 
     notes: list[str] = []
     angle, force = law.paper_angle(), None
-    if knee is not None:
+    several = () if walk is None else strides(knee, walk)
+    if several:
+        notes.append(f"{knee}: {len(several)} strides, played in random order; their mean is what is expected.")
+        angle = law.recorded_angle(*stride_walk.mean(several))
+        periods = [one.period_s for one in several if math.isfinite(one.period_s)]
+        if periods and not period_given:
+            gait = override(gait, {"period_s": (str(knee), round(sum(periods) / len(periods) * rate_hz) / rate_hz)})
+    elif knee is not None:
         curve = read_curve(knee, "knee_angle_rad")
         notes.append(curve.note())
         angle = law.recorded_angle(curve.percent, curve.values)
@@ -132,12 +155,12 @@ def reference(
 def prepare(
     sections: Mapping[str, Any], reference: Reference, calibration: Path | BenchModel | None, chosen: BusSettings,
     *, dry_run: bool, controller_model: Path | BenchModel | None = None, files: Mapping[str, bytes] | None = None,
-    script: str | None = None,
+    script: str | None = None, knee: Path | None = None,
 ) -> Prepared:
     """Join sections to an experiment that can be run; raises `InputError` if it cannot.
 
     `calibration` is the bench model that the controller works from, `controller_model` one whose effects it
-    compensates, too: files, or their content.
+    compensates, too: files, or their content. `knee` is the file of the strides that a walk plays.
     """
     from bowden.trials import provenance
     from eds.bench import bus_load
@@ -155,8 +178,13 @@ def prepare(
         checked(script, where="--experiment")
         if dry_run:
             raise InputError(f"--dry-run moves nothing, so --experiment {script} would tell nothing; leave one out.")
-    if gait.settle >= gait.cycles:
-        raise InputError(f"--settle {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
+    cycles = sections["walk"].strides or gait.cycles
+    if gait.settle >= cycles:
+        raise InputError(f"--settle {gait.settle} leaves none of {cycles} cycles; give more cycles.")
+    walk = sections["walk"]
+    walking = walk.differs
+    if walking and (script is not None or force_paths.several(sections["network"].bench)):
+        raise InputError("--strides and --phase felt belong to the gait of one force path; leave them out.")
     if force_paths.several(sections["network"].bench):
         return _several_paths(sections, reference, calibration, controller_model, chosen, dry_run, script, files or {})
     bench = _bench(chosen)
@@ -164,10 +192,10 @@ def prepare(
     measured = next((known for known in (model, told) if known is not None and known.values), nominal()).calibration
     refuse_beyond_validity(measured, reference.peak_n)
     experiment = ExperimentSetup(reference=reference, calibration=measured, dry_run=dry_run,
-                                 **beyond(model, told), **sections)
+                                 strides=strides(knee, walk), **beyond(model, told), **sections)
     attached = controller_model or (model if any(beyond(model).values()) else None)
     return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(attached)},
-                    script or "", controller.signals(kind))
+                    script or "", controller.signals(kind, walking))
 
 
 def _several_paths(

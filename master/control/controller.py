@@ -32,6 +32,12 @@ PACKAGED: Final[Mapping[str, str]] = MappingProxyType({
 })
 """The controllers of this project by name."""
 CONTROLLERS: Final = tuple(PACKAGED)
+WALKING: Final = (
+    Column("stride_percent", "%", "true phase of the stride that is played; unknown in a stumble or rest"),
+    Column("phase_doubt_percent", "%", "standard deviation of the felt phase, gait_percent; 29 where there is none"),
+    Column("phase_share", "1", "share of the desired force that is asked for; below 0 the rope is paid out instead"),
+)
+"""Columns of a trial whose strides differ, or whose phase is felt."""
 _NAME: Final = re.compile("[a-z][a-z0-9_]*")
 
 __all__ = ["CONTROLLERS", "Column", "Conditions", "Controller", "ControllerInput", "ControllerOutput", "Trace", "find",
@@ -151,9 +157,13 @@ def _typed(kind: Any, text: str) -> Any:
         return text
 
 
-def signals(kind: Kind) -> tuple[Signal, ...]:
-    """Return a controller's own columns as signals of `/cycle`, behind those of every trial."""
-    return tuple(Signal(column.name, column.unit, column.text, derived=True) for column in kind.columns)
+def signals(kind: Kind, walking: bool = False) -> tuple[Signal, ...]:
+    """Return a controller's own columns as signals of `/cycle`, behind those of every trial.
+
+    `walking`: the strides differ or their phase is felt, so that `WALKING` come last.
+    """
+    columns = (*kind.columns, *(WALKING if walking else ()))
+    return tuple(Signal(column.name, column.unit, column.text, derived=True) for column in columns)
 
 
 class WithEffects(Controller[State]):
@@ -171,7 +181,7 @@ class WithEffects(Controller[State]):
         """Step the inner controller on its inputs without the effects, and put the effects into its targets."""
         undone = self._correction
         outputs, state, trace = self._within.step(undone.seen(seen, self._start_offset_n), state)
-        return undone.feed_forward(outputs, seen.sample + self.ahead), state, trace
+        return undone.feed_forward(outputs, seen.index(len(undone.rope_m), self.ahead)), state, trace
 
 
 def with_effects(

@@ -14,7 +14,9 @@ NAN = math.nan
 class ControllerInput(NamedTuple):
     """Inputs of a controller from one SYNC, all latched by it; without one of them there is no step.
 
-    `sample` counts control cycles from the start of gait cycle 0, negative in the run-in.
+    `sample` counts control cycles from the start of gait cycle 0, negative in the run-in. Where the force follows a
+    felt phase, `place` is the phase in samples of the gait table, fractional, `rate` its change in a control cycle, 0
+    without a phase, and `share` says how much force is asked for (`gait_phase.follow`); on the clock `place` is None.
     """
 
     sample: int
@@ -22,6 +24,15 @@ class ControllerInput(NamedTuple):
     servo_force_n: float
     knee_angle_rad: float
     start_n: float
+    place: float | None = None
+    rate: float = 1.0
+    share: float = 1.0
+
+    def index(self, samples: int, ahead: int = 0) -> int:
+        """Return the sample of a gait table of `samples` that is nearest, `ahead` control cycles later."""
+        if self.place is None:
+            return (self.sample + ahead) % samples
+        return round(self.place + ahead * self.rate) % samples
 
 
 class ControllerOutput(NamedTuple):

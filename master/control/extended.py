@@ -18,12 +18,12 @@ from master.control.controller_io import ControllerInput, ControllerOutput, Trac
 from master.control.friction_following import (
     LEAST_SHARE,
     Followed,
-    at,
     evidence_of,
     follow,
     friction_evidence,
+    law_at,
 )
-from master.control.gait_table import GaitTable
+from master.control.gait_table import GaitTable, at
 from master.settings import Impedance
 from physics import end_discrepancy, inverse
 from physics.calibration import Calibration
@@ -51,7 +51,7 @@ TARGET_CYCLES = 2
 class Ahead(NamedTuple):
     """Model's result for one control cycle: rope position less slack, m; START and the rope's drag in it, N;
     exponents, slowness, slips; distance of the leg from the knee's drive by backlash, rad; the identified discrepancy
-    of ln(START/END) and its standard deviation."""
+    of ln(START/END) and its standard deviation; desired END force, N, and slack, m."""
 
     position: float
     start: float
@@ -65,6 +65,8 @@ class Ahead(NamedTuple):
     leg: float
     discrepancy: float
     doubt: float
+    desired: float
+    slack: float
 
     @property
     def slides_fully(self) -> bool:
@@ -80,7 +82,8 @@ class ExtendedState(NamedTuple):
     the latest last. `paths`: the model's results for this control cycle up to the farthest ahead; `wanted`: the
     desired positions, m, from this control cycle on. `resting`: control cycles before the feedback acts again.
     `learnt` and `tracked`: corrections by sample of the gait cycle, m, for the force and for the drive. `history`:
-    linked list (sample, feedback, tracking error, observation, older) of the gait cycle so far.
+    linked list (sample, feedback, tracking error, observation, older) of the gait cycle so far. `place` and `rate`: of
+    the last control cycle, in samples of the gait; a felt phase makes them fractions.
     """
 
     law: Law
@@ -97,6 +100,8 @@ class ExtendedState(NamedTuple):
     learnt: tuple[float, ...] = ()
     tracked: tuple[float, ...] = ()
     history: Any = None
+    place: float = 0.0
+    rate: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -154,21 +159,25 @@ def step(
     """One control cycle: the model's rope position for the time at which the target acts, plus feedback and
     correction."""
     gait, samples = config.gait, config.gait.samples
-    now = seen.sample % samples
-    if now == 0 and state.history is not None:
-        state = on_cycle_end(state, config)
-    departures = (*state.departures, seen.knee_angle_rad - gait.knee[now])[-DEPARTURES:]
-    paths, slip, slips, leg = look_ahead(state, config, now, departures)
+    now = seen.sample % samples if seen.place is None else seen.place
+    if state.history is not None:
+        if seen.share < 1.0:  # a stride whose phase was lost teaches nothing
+            state = state._replace(history=None)
+        elif now == 0 if seen.place is None else now < state.place - 0.5 * samples:
+            state = on_cycle_end(state, config)
+    departures = _departures(state, gait, seen.knee_angle_rad, now, seen.rate)
+    paths, slip, slips, leg = look_ahead(state, config, now, departures, seen)
     here = paths[0]
     ratio = math.exp(here.by_sheath + here.by_knee + here.discrepancy)
-    desired = gait.desired[now]
+    # a felt phase is led on to the instant at which a target acts; what was asked for then is what is desired now
+    desired, slack = gait.wanted(now) if seen.place is None else (here.desired, here.slack)
     start = (seen.start_n - config.start_offset_n) / config.start_gain
     rate = paths[min(1, len(paths) - 1)].start - here.start
     unlagged = start + config.start_lag * rate
     estimated = (unlagged - here.drag) / ratio
     resting = max(state.resting - 1, 0) if here.slides_fully else config.filter.lead
     deviation, evidence = state.deviation_m, None
-    if gait.slack[now] > 0.0:
+    if slack > 0.0:
         deviation *= config.decay
     else:
         heard = _heard(paths, resting)
@@ -182,22 +191,39 @@ def step(
     speed = paths[-1].position - paths[max(-3, -len(paths))].position
     position = config.zero_m + paths[max(-2, -len(paths))].position
     feedforward = position + 0.5 * config.lag * speed
-    force = deviation + (state.learnt[now] if state.learnt else 0.0)
+    force = deviation + (at(state.learnt, now) if state.learnt else 0.0)
     wanted = (*state.wanted, position + force)[-(config.ahead + 1):]
     missed = wanted[0] - seen.servo_position_m if len(wanted) > config.ahead else 0.0
-    fed = deviation if gait.slack[now] == 0.0 else 0.0
-    target = feedforward + force + (state.tracked[now] if state.tracked else 0.0)
+    fed = deviation if slack == 0.0 else 0.0
+    target = feedforward + force + (at(state.tracked, now) if state.tracked else 0.0)
     moved = 0.0 if math.isnan(state.seen_m) else seen.servo_position_m - state.seen_m
     then = seen.servo_position_m + TARGET_CYCLES * moved
     reached = min(max(target, then - REACH_M), then + REACH_M)
     # anti-windup: where the target is held back, a larger correction would change nothing
-    history = (now, fed, missed if reached == target else 0.0, evidence, state.history)
+    history = (now, fed, missed if reached == target else 0.0, evidence, state.history) if seen.share == 1.0 else None
     after = ExtendedState(
         state.law, state.followed, deviation, leg, seen.servo_position_m, slip, slips, departures, paths,
-        wanted, resting, state.learnt, state.tracked, history)
+        wanted, resting, state.learnt, state.tracked, history, now, seen.rate)
     half = _half_width(max(estimated, 0.0), ratio, rate, resting / config.filter.lead, here, config)
     trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half)
-    return ControllerOutput(reached, gait.knee[(now + TARGET_CYCLES) % samples]), after, trace
+    return ControllerOutput(reached, at(gait.knee, now + TARGET_CYCLES * seen.rate)), after, trace
+
+
+def _departures(state: ExtendedState, gait: GaitTable, knee: float, now: float, rate: float) -> tuple[float, ...]:
+    """Return the knee's departures from its reference, this one last.
+
+    Where a felt phase is lost or found, the reference halts or jumps: the older ones are then those of a knee that has
+    the speed that it had.
+    """
+    departure = knee - at(gait.knee, now)
+    known = state.departures
+    if not known or (rate > 0.0) == (state.rate > 0.0):
+        return (*known, departure)[-DEPARTURES:]
+    samples = gait.samples
+    led = [at(gait.knee, place % samples) - at(gait.knee, (place - step) % samples)
+           for place, step in ((state.place, state.rate), (now, rate))]
+    speed = (known[-1] - known[0]) / (DEPARTURES - 1) + led[0] - led[1]
+    return tuple(departure - i * speed for i in range(DEPARTURES - 1, -1, -1))
 
 
 def _heard(paths: tuple[Ahead, ...], resting: int) -> float:
@@ -224,39 +250,40 @@ def trusted(error_n: float, doubt_n: float) -> float:
     return error_n * square / (square + doubt_n * doubt_n)
 
 
-def _side(state: ExtendedState, here: Ahead, gait: GaitTable, now: int) -> float:
+def _side(state: ExtendedState, here: Ahead, gait: GaitTable, now: float) -> float:
     """−1…1: where in its play the leg is; while none is known, behind the way that the knee moves."""
     if state.followed.play > 0.0:
         return here.leg * state.law.rope_per_knee / state.followed.play
-    moved = gait.knee[(now + 1) % gait.samples] - gait.knee[now - 1]
+    moved = at(gait.knee, now + 1) - at(gait.knee, (now - 1) % gait.samples)
     return -math.copysign(1.0, moved) if moved else 0.0
 
 
 def look_ahead(
-    state: ExtendedState, config: ExtendedConfig, now: int, departures: tuple[float, ...]
+    state: ExtendedState, config: ExtendedConfig, now: float, departures: tuple[float, ...], seen: ControllerInput
 ) -> tuple[tuple[Ahead, ...], tuple[float, ...], tuple[float, ...], tuple[float, float]]:
     """The model's answer one control cycle beyond the delay, the knee led on at the speed of its departure.
 
     The leg follows the knee's drive with the play that was followed.
     """
     gait, cycles = config.gait, config.ahead + 1
-    then = (now + cycles) % gait.samples
+    then = (now + (cycles if seen.place is None else cycles * seen.rate)) % gait.samples
+    desired, slack = gait.wanted(then, seen.share)
     speed = (departures[-1] - departures[0]) / (DEPARTURES - 1)
-    knee = gait.knee[then] + departures[-1] + cycles * speed
+    knee = at(gait.knee, then) + departures[-1] + cycles * speed
     half = state.followed.play / state.law.rope_per_knee
     moved = 0.0 if math.isnan(state.leg[1]) else knee - state.leg[1]
     behind = min(half, max(-half, state.leg[0] - moved))
     position, start, by_sheath, by_knee, sheath_slow, knee_slow, slip = inverse.inverse(
-        state.law, state.slip, gait.desired[then], knee + behind)
-    drag = start - gait.desired[then] * math.exp(by_sheath + by_knee)
+        state.law, state.slip, desired, knee + behind)
+    drag = start - desired * math.exp(by_sheath + by_knee)
     beyond, doubt, slips = 0.0, 0.0, state.slips
     if config.beyond is not None:
         beyond, doubt, slips = end_discrepancy.evaluate(
-            config.beyond, slips, gait.desired[then], knee, state.slip, slip, sheath_slow, knee_slow)
+            config.beyond, slips, desired, knee, state.slip, slip, sheath_slow, knee_slow)
     lacking = (start - drag) * math.expm1(beyond)
     answer = Ahead(
-        position + state.law.rope_compliance * lacking - gait.slack[then], start + lacking, drag, by_sheath, by_knee,
-        sheath_slow, knee_slow, slip[0], slip[1], behind, beyond, doubt)
+        position + state.law.rope_compliance * lacking - slack, start + lacking, drag, by_sheath, by_knee,
+        sheath_slow, knee_slow, slip[0], slip[1], behind, beyond, doubt, desired, slack)
     return (*state.paths, answer)[-(config.ahead + 2):], slip, slips, (behind, knee)
 
 
@@ -278,6 +305,6 @@ def on_cycle_end(state: ExtendedState, config: ExtendedConfig) -> ExtendedState:
     followed = follow(state.followed, evidence_of(state.history))
     feedback, missed = learning.columns(state.history, config.gait.samples)
     return state._replace(
-        law=at(config.law, followed), followed=followed,
+        law=law_at(config.law, followed), followed=followed,
         learnt=learning.learn(state.learnt, feedback, config.filter),
         tracked=learning.learn(state.tracked, missed, config.tracking), history=None)

@@ -72,7 +72,7 @@ class CycleEvidence(NamedTuple):
     weight: float
 
 
-def at(law: Law, followed: Followed) -> Law:
+def law_at(law: Law, followed: Followed) -> Law:
     """Return the controller's model with the friction as it is followed."""
     sheath, knee, breakaway = followed[:3]
     return law._replace(

@@ -7,6 +7,7 @@ the laws of `physics` before the first control cycle; nothing here sees a measur
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,6 +42,23 @@ class GaitTable:
     rope_direction: tuple[float, ...]
     fabric_direction: tuple[float, ...]
     slack: tuple[float, ...]
+
+    def wanted(self, place: float, share: float = 1.0) -> tuple[float, float]:
+        """Return desired force, N, and slack, m, at a place in the table, for the `share` of the force asked for.
+
+        1 … 0: of the force; 0 … −1: how far the rope is paid out in its place.
+        """
+        desired, slack = at(self.desired, place), at(self.slack, place)
+        if share == 1.0:
+            return desired, slack
+        return max(share, 0.0) * desired, slack + (max(self.slack) - slack) * max(-share, 0.0)
+
+
+def at(column: Sequence[float], place: float) -> float:
+    """Return a periodic column at a place in samples, 0 or more; between two samples on a straight line."""
+    i = int(place)
+    here = column[i % len(column)]
+    return here if i == place else here + (place - i) * (column[(i + 1) % len(column)] - here)
 
 
 def samples_of(gait_period_s: float, rate_hz: int) -> int:

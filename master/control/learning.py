@@ -56,12 +56,31 @@ def learn(correction: tuple[float, ...], added: Array, filter_: LearningFilter) 
 
 
 def columns(history: Any, samples: int) -> tuple[Array, Array]:
-    """(feedback, tracking error) of one gait cycle by sample, m, from a linked list (sample, both, …, older)."""
+    """(feedback, tracking error) of one gait cycle by sample, m, from a linked list (sample, both, …, older).
+
+    Samples that are fractions, of a felt phase, are interpolated.
+    """
+    if history is not None and not isinstance(history[0], int):
+        places, one, other = _listed(history)
+        grid = np.arange(samples)
+        return np.interp(grid, places, one, period=samples), np.interp(grid, places, other, period=samples)
     feedback, tracked = np.zeros(samples), np.zeros(samples)
     while history is not None:
         sample, one, other, _evidence, history = history
         feedback[sample], tracked[sample] = one, other
     return feedback, tracked
+
+
+def _listed(history: Any) -> tuple[list[float], list[float], list[float]]:
+    places: list[float] = []
+    one: list[float] = []
+    other: list[float] = []
+    while history is not None:
+        place, fed, missed, _evidence, history = history
+        places.append(place)
+        one.append(fed)
+        other.append(missed)
+    return places, one, other
 
 
 def contraction(

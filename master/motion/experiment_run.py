@@ -12,13 +12,15 @@ from itertools import pairwise
 from typing import Any
 
 import can
+import numpy as np
 
 from eds.bench.bench_network import Network
 from estimation.transfer.homing_fit import HomingFit
 from master import settings
-from master.control import controller
+from master.control import controller, gait_phase
 from master.control.controller import Conditions, Controller, ControllerInput
 from master.control.effect_correction import Effects, calibrated, correction
+from master.control.extended import TARGET_CYCLES
 from master.control.gait_table import GaitTable, samples_of, tabulate
 from master.control.repeated import RecordedTargets, Repeated
 from master.control.stability import derated
@@ -35,7 +37,9 @@ from parameters import InputError
 from physics import inverse
 from physics.calibration import Calibration, nominal, refuse_beyond_validity, said_of
 from physics.reference import Reference
+from physics.stride_walk import Stride, StrideWalk, Variation, walk
 from physics.terms import Term
+from trial.signals import Signal
 
 KNEE_SAMPLES = 400
 """Points of a gait cycle at which a knee motion is held against the limits."""
@@ -47,6 +51,7 @@ class ExperimentSetup:
 
     `motion`, if given, is the knee's true motion: the controller still expects `reference`. `known`: effects beyond
     the calibration that the controller compensates, name → values; `terms`: modulated constants beyond it.
+    `strides`: what `walk` plays in random order; the reference's knee is their mean.
     `targets`: of the recorded trial whose motion is repeated in place of the controller's.
     """
 
@@ -61,6 +66,8 @@ class ExperimentSetup:
     motion: Reference | None = None
     known: Effects = field(default_factory=dict)
     terms: tuple[Term, ...] = ()
+    walk: settings.Walk = field(default_factory=settings.Walk)
+    strides: tuple[Stride, ...] = ()
     record: settings.Record = field(default_factory=settings.Record)
     targets: RecordedTargets | None = None
 
@@ -126,6 +133,34 @@ def refuse_beyond_limits(experiment: ExperimentSetup) -> None:
                 f"give a period of at least {reference.period_s * fastest / limits.knee_rad_s:.2f} s.")
 
 
+def drawn_walk(experiment: ExperimentSetup, table: GaitTable, first: int, rest: int) -> StrideWalk | None:
+    """Return the drawn walk of an experiment of several strides, None of one that repeats.
+
+    `first`, `rest`: the samples of run-in and run-out.  Raises `InputError` for what cannot be walked.
+    """
+    chosen = experiment.walk
+    if chosen.differs and experiment.gait.soft_start:
+        raise InputError("--soft-start belongs to one stride that repeats on the clock; leave it out.")
+    if not chosen.strides:
+        if chosen.stumbles or chosen.stops or chosen.sits:
+            raise InputError("stumbles, stops and sits are drawn among recorded strides; say how many with --strides.")
+        return None
+    if not experiment.strides:
+        raise InputError("--strides: the knee's motion has no recorded strides; give them with --knee FILE.")
+    made = walk(experiment.strides, Variation(
+        chosen.strides, chosen.seed, chosen.period_share, chosen.amplitude_share, chosen.stumbles, chosen.stops,
+        chosen.sits), np.array(table.knee), table.period_s, first, rest)
+    limits, low, high = experiment.limits, float(made.knee_rad.min()), float(made.knee_rad.max())
+    fastest = float(np.abs(np.diff(made.knee_rad)).max()) / table.period_s
+    if not (limits.knee_low_rad <= low <= high <= limits.knee_high_rad and fastest <= limits.knee_rad_s):
+        raise InputError(
+            f"the drawn strides move the knee from {math.degrees(low):.1f} to {math.degrees(high):.1f} degrees at up "
+            f"to {fastest:.1f} rad/s; limits allow {math.degrees(limits.knee_low_rad):.1f} to "
+            f"{math.degrees(limits.knee_high_rad):.1f} degrees and {limits.knee_rad_s:g} rad/s; lower "
+            "walk.amplitude_share or walk.period_share.")
+    return made
+
+
 class Planned:
     """An experiment with its tables made, and what homing found once it has run (`homed`).
 
@@ -152,6 +187,9 @@ class Planned:
         samples = self.table.samples
         self.first = gait.run_in_sample(self.table)
         self.rest = gait.resting_sample(self.idle, samples // 20, samples // 2)
+        self.strides = drawn_walk(experiment, self.table, self.first, self.rest)
+        self.phase = gait_phase.configure(knee, 1.0 / rate_hz, experiment.walk.departure_rad) if (
+            experiment.walk.felt) else None
         self.undone = {id(table): correction(
             calibration, table, rest, experiment.terms, adapts=self.kind.uses_homing_fit)
                        for table in (self.table, self.idle, *self.rising)}
@@ -165,6 +203,11 @@ class Planned:
         self.warning = " ".join([*([slowed] if slowed else []), *said_of(calibration, start_n)]) or None
         inverse.prepare()
         self._rehearse()
+
+    @property
+    def own_signals(self) -> tuple[Signal, ...]:
+        """Return the controller's own columns of the trial, and those of strides that differ."""
+        return controller.signals(self.kind, self.experiment.walk.differs)
 
     @property
     def pulls(self) -> str:
@@ -195,8 +238,8 @@ class Planned:
 
     @property
     def begin(self) -> int:
-        """First sample of the trial: the run-in, and before it the soft start."""
-        return self.first - (1 + len(self.rising)) * self.table.samples
+        """First sample of the trial: the run-in, and before it the soft start, or a stride in which the phase is found."""
+        return self.first - (1 + len(self.rising) + self.experiment.walk.differs) * self.table.samples
 
     def control(self, table: GaitTable) -> Controller[Any]:
         """The chosen controller over a gait table, on the day that homing found."""
@@ -245,27 +288,45 @@ class Planned:
 
         `before` cycles were walked.  Cycles of the soft start are numbered −1, as the run-in is.
         """
-        samples = self.table.samples
-        last = self.experiment.gait.cycles * samples
+        samples, strides = self.table.samples, self.strides
+        last = self.experiment.gait.cycles * samples if strides is None else strides.samples
         begin = self.begin
 
         def number(sample: int) -> float:
+            if strides is not None:
+                return strides.at(sample)[2]
             return float(before + sample // samples) if sample >= 0 else -1.0
 
         for i, table in enumerate(self.rising, 1 - len(self.rising)):
             yield from self._walked(exchange, table, begin, i * samples, number)
             begin = i * samples
-        yield from self._walked(exchange, self.table, begin, last, number)
-        yield from self._walked(exchange, self.idle, last, last + self.rest, lambda sample: -1.0)
+        yield from self._walked(exchange, self.table, begin, last, number, self.phase)
+        end = -(-last // samples) * samples  # the run-out begins with a gait cycle
+        yield from self._walked(exchange, self.idle, end, end + self.rest, lambda sample: -1.0, late=end - last)
 
     def _walked(
         self, exchange: gait.Cycle, table: GaitTable, first: int, last: int, number: Callable[[int], float],
+        felt: gait_phase.PhaseConfig | None = None, *, late: int = 0,
     ) -> Work[None]:
         name = self.experiment.gait.controller
         with gait.naming(name):
             control = self.control(table)
-        yield from gait.steps(exchange, control, table, first, last, number, self._led(), name=name,
-                              own=len(self.kind.columns))
+        strides, ahead = self.strides, TARGET_CYCLES
+        led, true_percent = self._led(), None
+        if strides is not None:
+            def led(sample: int) -> float:
+                return strides.at(sample - late + ahead)[0]
+
+            def true_percent(sample: int) -> float:
+                return strides.at(sample - late)[1]
+        elif felt is not None:
+            def led(sample: int) -> float:
+                return table.knee[(sample + ahead) % table.samples]
+
+            def true_percent(sample: int) -> float:
+                return 100.0 * (sample % table.samples) / table.samples
+        yield from gait.steps(exchange, control, table, first, last, number, led, name=name,
+                              own=len(self.kind.columns), felt=felt, true_percent=true_percent)
 
     def _led(self) -> Callable[[int], float] | None:
         """The knee's target by sample if its motion departs from the reference, eased in by run-in, out by run-out."""

@@ -5,6 +5,7 @@ The rule of this file: a cycle whose needed inputs are not all of this SYNC make
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from math import isfinite
@@ -12,8 +13,10 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
+from master.control import gait_phase
 from master.control.controller import Controller, ControllerInput
 from master.control.controller_io import Trace
+from master.control.gait_phase import PhaseConfig
 from master.control.gait_table import GaitTable, tabulate
 from master.cycle.exchange import NEEDED, Exchange
 from master.cycle.inputs import NOTHING, CycleAnnotations, Inputs
@@ -26,6 +29,7 @@ from physics.reference import Reference
 
 ENDS_A_STEP: Final = (Exception, SystemExit)
 """Exceptions of a controller that end in the safe stop; Ctrl-C is handled elsewhere."""
+NAN: Final = math.nan
 HURRY = 5.0
 """Speed of the slack approach to the run-in, relative to homing."""
 
@@ -97,26 +101,41 @@ def run(exchange: Cycle, work: Work[None]) -> None:
 def steps(
     exchange: Cycle, control: Controller[Any], table: GaitTable, first: int, last: int,
     number: Callable[[int], float], knee_at: Callable[[int], float] | None = None, *, name: str = "", own: int = 0,
+    felt: PhaseConfig | None = None, true_percent: Callable[[int], float] | None = None,
 ) -> Work[None]:
     """Answer samples `first` … `last` − 1 (0: start of gait cycle 0); `number` gives a row's gait-cycle number.
 
     `knee_at` gives the knee's target by sample if it does not follow the reference that the controller expects. `own`
     is the number of further columns of the controller `name`. A controller that raises, or whose targets are not
-    finite, raises `StopError`.
+    finite, raises `StopError`. With `felt` the controller follows the phase of the knee angle, without a clock;
+    `true_percent` gives the true phase, %, for the record of a trial whose strides differ.
     """
     samples, desired = table.samples, table.desired
     with naming(name):
         step, state = control.step, control.initial()
     inputs = exchange.inputs
+    memory, share, more, place = gait_phase.initial(), -1.0, (), 0.0
     for sample in range(first, last):
         i = sample % samples
+        if felt is not None:
+            lost = inputs.missing & NEEDED
+            reading, memory = gait_phase.step(felt, memory, NAN if lost else inputs.knee_angle_rad)
+            share = gait_phase.follow(share, reading, table)
+            place = reading.phase * samples
+            i = int(place) % samples
+            more = (NAN if true_percent is None else true_percent(sample), 100.0 * reading.doubt, share)
+        elif true_percent is not None:
+            more = (true_percent(sample), 0.0, 1.0)
         if inputs.missing & NEEDED:
             yield Answer(*exchange.targets, CycleAnnotations(
-                100.0 * i / samples, desired[i], cycle=number(sample), held=1.0))
+                100.0 * i / samples, desired[i] * max(share, 0.0) if felt else desired[i], cycle=number(sample),
+                held=1.0))
             inputs = exchange.inputs
             continue
         seen = ControllerInput(
             sample, inputs.servo_position_m, inputs.servo_force_n, inputs.knee_angle_rad, inputs.start_n)
+        if felt is not None:
+            seen = seen._replace(place=place, rate=reading.rate * table.period_s * samples, share=share)
         try:
             (servo, knee), state, trace = step(seen, state)
             whole = isfinite(servo) and isfinite(knee) and len(trace.own) == own
@@ -128,11 +147,12 @@ def steps(
             raise StopError(Condition.CONTROLLER, f"{name} {_wrong(servo, knee, trace, own)}, "
                                                   f"{_place(i, samples, number(sample))}")
         yield Answer(servo, knee if knee_at is None else knee_at(sample), CycleAnnotations(
-            gait_percent=100.0 * i / samples, cycle=number(sample), desired_force_n=desired[i],
+            gait_percent=100.0 * (i if felt is None else place) / samples, cycle=number(sample),
+            desired_force_n=desired[i] if felt is None else trace.desired_force_n,
             estimated_end_force_n=trace.estimated_end_force_n, estimated_end_half_n=trace.estimated_end_half_n,
             feedforward_m=trace.feedforward_m, impedance_dx_m=trace.impedance_dx_m,
             friction_ratio=trace.friction_ratio, rope_direction=trace.rope_direction,
-            strain_direction=trace.strain_direction, own=trace.own))
+            strain_direction=trace.strain_direction, own=(*trace.own, *more)))
         inputs = exchange.inputs
 
 

@@ -226,7 +226,7 @@ def evidence_of(
     `play_m`: half of the play at its knee, m of rope; the leg lies behind the way that the knee moves.
     """
     rng = np.random.default_rng(5)
-    believed_law = friction_following.at(law, followed)
+    believed_law = friction_following.law_at(law, followed)
     knee, desired = gait.sampled(paper_reference(40.0, 2.0), SAMPLES)
     sides = -np.sign(np.roll(knee, -1) - np.roll(knee, 1))
     told, slip, believed = [], tuple(inverse.Slip()), tuple(inverse.Slip())
@@ -267,7 +267,7 @@ def test_a_change_of_friction_is_followed(factor: float, offset_m: float) -> Non
     for cycle in range(friction_following.SETTLING + 11):
         here = law if cycle <= friction_following.SETTLING else true
         followed = friction_following.follow(followed, evidence_of(law, followed, here, offset_m))
-    left = abs(exponent(friction_following.at(law, followed)) - exponent(true))
+    left = abs(exponent(friction_following.law_at(law, followed)) - exponent(true))
     assert left <= 0.67 * abs(exponent(law) - exponent(true)) + 0.005 * exponent(law)
 
 
@@ -282,7 +282,7 @@ def test_an_error_of_the_model_does_not_move_friction(wrong: dict[str, float]) -
     followed = Followed()
     for _ in range(10):
         followed = friction_following.follow(followed, evidence_of(law, followed, true))
-    moved = exponent(friction_following.at(law, followed)) / exponent(law) - 1.0
+    moved = exponent(friction_following.law_at(law, followed)) / exponent(law) - 1.0
     assert abs(moved) < 0.2 * friction_following.PRIOR[0]
 
 

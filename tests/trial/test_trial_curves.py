@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from parameters import InputError
-from trial.curves import read_curve, repeats_after
+from trial.curves import read_curve, read_strides, repeats_after
 
 GAIT = Path(__file__).parents[3] / "shared" / "data" / "gait"
 needs_gait = pytest.mark.skipif(not GAIT.is_dir(), reason="the recorded gait data are not beside this checkout")
@@ -151,3 +151,30 @@ def test_a_treadmill_recording_with_lost_markers_yields_its_stride() -> None:
     assert (curve.strides, curve.bridged) == (2, 10)
     assert curve.stride_s == pytest.approx(1.19, abs=0.011)  # as its description says, to one sample
     assert curve.begins == 7.15
+
+
+def numbered(strides: int, name: str = "stride") -> list[str]:
+    rows = [f"{i},{at},{-20.0 - i - 10.0 * math.cos(2.0 * math.pi * at / 100.0):.3f}"
+            for i in range(strides) for at in range(0, 100, 2)]
+    return [f"{name},gait_percent,knee_angle_deg", *rows]
+
+
+@pytest.mark.parametrize("name", ["stride", "cycle"])
+def test_strides_are_read_by_the_column_that_numbers_them(tmp_path: Path, name: str) -> None:
+    path = written(tmp_path, numbered(3, name))
+    found = read_strides(path)
+    assert [round(math.degrees(one.values[0]), 2) for one in found] == [-30.0, -31.0, -32.0]
+    first = read_curve(path, "knee_angle_rad")
+    assert first.strides == 3 and np.array_equal(first.values, found[0].values)
+
+
+def test_a_recording_in_time_is_cut_into_its_strides(tmp_path: Path) -> None:
+    found = read_strides(written(tmp_path, knee_rows(strides=3.6)))
+    assert len(found) >= 2
+    assert np.ptp([one.stride_s for one in found]) < 0.03
+
+
+def test_a_stride_number_that_comes_twice_is_refused(tmp_path: Path) -> None:
+    rows = numbered(2)
+    with pytest.raises(InputError, match="row 102: stride = 0 comes a second time; number each stride once"):
+        read_strides(written(tmp_path, [*rows, *rows[1:51]]))

@@ -10,7 +10,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, SimulatedOptions, WalkOptions, WatchOptions, grouped
+from bowden.cli.option_groups import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, grouped
 
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
@@ -27,6 +27,7 @@ Web = Annotated[str | None, typer.Option(
 def trial(
     output: options.Output,
     walk: WalkOptions,
+    strides: StrideOptions,
     knee: options.Knee = None,
     desired: options.Desired = None,
     calibration: options.Calibration = None,
@@ -79,11 +80,12 @@ def trial(
     if motion_of is not None:
         prepared = repeated_motion.prepared(motion_of, sections, chosen)
     else:
+        sections["walk"] = strides.walk(sections["walk"], simulated.seed)
         reference, sections["gait"], notes = session.reference(
             walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
-            peak_given=walk.peak is not None)
+            peak_given=walk.peak is not None, walk=sections["walk"], rate_hz=sections["network"].rate_hz)
         prepared = session.prepare(sections, reference, calibration, chosen, dry_run=dry_run, script=experiment,
-                                   controller_model=controller_model,
+                                   knee=knee, controller_model=controller_model,
                                    files={**provenance.curves(knee=knee, desired=desired),
                                           **setup_checks.attached(calibration)})
         for note in notes:
@@ -155,6 +157,18 @@ def _show_watch(told: dict[str, Any]) -> None:
     print(f"Watch: {found['verdict']}" + (f": {', '.join(found['class'])}" if found["class"] else ""))
 
 
+def _show_walk(walk: dict[str, Any]) -> None:
+    """Print the figures of strides that differ: what control did, and what the phase cost."""
+    figure = terminal.number
+    terminal.table(f"{walk['strides']} strides, {walk['assisted']} with force, {walk['interrupted']} interrupted, by "
+                   f"{walk['judged_by']}", ("relative RMSE by stride (%)", "median", "95 %", "worst"), [
+        (name, *(figure(walk[key][part]) for part in ("median", "percentile_95", "worst")))
+        for name, key in (("against the force asked for, at the felt phase", "rmse_percent"),
+                          ("against the desired force at the true phase", "true_phase_rmse_percent"))])
+    print(f"Phase: {figure(walk['phase_error_rms_percent'])} % of the gait rms; largest END at idle "
+          f"{figure(walk['idle_n'])} N; longest time with more than 3 N off phase {figure(walk['off_phase_ms'])} ms")
+
+
 FORCE_FIGURES = (
     ("relative RMSE, END (%)", "relative_rmse_percent"),
     ("  within 10…30 % of gait (%)", "relative_rmse_window_percent"),
@@ -179,6 +193,8 @@ def _show(
         terminal.table(headline, ("force", "by the END sensor", "true", "paper"), [
             (name, figure(found[key]), figure(found[f"true_{key}"]), paper.get(key, "–"))
             for name, key in FORCE_FIGURES])
+    if result.get("walk"):
+        _show_walk(result["walk"])
     if not with_end:
         print("No figures by the END sensor: the declared bench has no END load cell.")
     ratio = result["wall_s"] / result["simulated_s"] if result["simulated_s"] else None

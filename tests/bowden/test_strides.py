@@ -1,0 +1,62 @@
+"""A trial of strides that differ, through the wire: the force follows the felt phase, and a replay has the same steps.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bowden.cli.app import run
+from tests.stride_files import written
+
+STRIDES = 4
+
+
+def trial(folder: Path, capsys: pytest.CaptureFixture[str], name: str, *options: str) -> dict[str, Any]:
+    knee = written(folder / "strides.csv")
+    status = run(["trial", "--knee", str(knee), "--period", "1.2", "--strides", str(STRIDES), "--controller", "extended",
+                   "--seed", "2", "-o", str(folder / name), "--json", *options])
+    told = capsys.readouterr().out
+    assert status == 0, told
+    return json.loads(told)
+
+
+def test_the_force_follows_a_phase_that_is_felt(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = trial(tmp_path, capsys, "walk.mcap")
+    walk = found["walk"]
+    assert found["outcome"] == "completed" and found["cycles"] == STRIDES
+    assert walk["strides"] == walk["assisted"] == STRIDES - 1 and walk["interrupted"] == 0
+    assert walk["phase_error_rms_percent"] < 1.5
+    assert walk["rmse_percent"]["worst"] < 1.2 and walk["judged_by"] == "true END"
+    assert walk["idle_n"] < 1.0 and walk["off_phase_ms"] == 0.0
+    assert len({round(one["period_s"], 3) for one in walk["by_stride"]}) == STRIDES
+    assert run(["replay", str(tmp_path / "walk.mcap"), "--onto", "controller"]) == 0
+
+
+def test_a_wearer_who_stops_is_asked_for_no_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from trial import read
+
+    found = trial(tmp_path, capsys, "stop.mcap", "--stops", "1")
+    assert [one["kind"] for one in found["walk"]["by_stride"]] == ["walk"] * STRIDES + ["rest"]
+    assert found["walk"]["off_phase_ms"] < 100.0
+    columns = read.open(tmp_path / "stop.mcap").columns
+    standing = np.flatnonzero(columns["cycle"] == STRIDES)[500:-500]
+    assert (columns["desired_force_n"][standing] == 0.0).all() and (columns["phase_share"][standing] == -1.0).all()
+
+
+@pytest.mark.parametrize(("options", "sentence"), [
+    (["--strides", "4"], "--strides: the knee's motion has no recorded strides; give them with --knee FILE."),
+    (["--stops", "1"], "stumbles, stops and sits are drawn among recorded strides; say how many with --strides."),
+    (["--phase", "heard"], "walk.phase = 'heard', expected clock or felt; choose one."),
+    (["--phase", "felt", "--soft-start", "2"], "--soft-start belongs to one stride that repeats on the clock"),
+])
+def test_what_cannot_be_walked_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], sentence: str
+) -> None:
+    assert run(["trial", "-o", str(tmp_path / "none.mcap"), *options]) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "none.mcap").exists()

@@ -1,0 +1,107 @@
+"""The phase from the knee angle alone, on drawn walks: how far it is off, when it is lost and found, what force it asks.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from master.control import gait_phase
+from master.control.gait_phase import Reading
+from master.control.gait_table import GaitTable, tabulate
+from physics import stride_walk
+from physics.calibration import nominal
+from physics.laws import Array, desired_force
+from physics.reference import recorded_angle
+from physics.stride_walk import StrideWalk, Variation
+from tests.stride_files import strides
+
+SAMPLES, PERIOD_S = 1200, 1e-3
+NEVER_SURE = Reading(0.0, 0.0, 0.29, 0.0, False, False)
+
+
+@cache
+def lap() -> Array:
+    angle = recorded_angle(*stride_walk.mean(strides(6)))[0][:-1]
+    return np.interp(np.arange(SAMPLES), np.arange(1001) * SAMPLES / 1000, np.append(angle, angle[0]))
+
+
+def table() -> GaitTable:
+    return tabulate(nominal(), lap(), desired_force(np.arange(SAMPLES) * 100.0 / SAMPLES, 40.0), PERIOD_S, 2e-3)
+
+
+@cache
+def felt(seed: int, stumbles: int = 0, stops: int = 0, sits: int = 0) -> tuple[StrideWalk, list[Reading], Array]:
+    """Return a walk, its readings, and the share of the force by control cycle."""
+    walk = stride_walk.walk(strides(6), Variation(12, seed, 0.08, 0.1, stumbles, stops, sits), lap(), PERIOD_S, 1000, 0)
+    config, memory, readings, share, shares, gait = (
+        gait_phase.configure(lap(), PERIOD_S), gait_phase.initial(), [], -1.0, [], table())
+    for angle in walk.knee_rad.tolist():
+        reading, memory = gait_phase.step(config, memory, angle)
+        share = gait_phase.follow(share, reading, gait)
+        readings.append(reading)
+        shares.append(share)
+    return walk, readings, np.array(shares)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_phase_is_off_by_less_than_one_and_a_half_percent(seed: int) -> None:
+    walk, readings, shares = felt(seed)
+    walked = slice(walk.before, walk.before + walk.samples)
+    phase = 100.0 * np.array([one.phase for one in readings])[walked]
+    error = np.mod(phase - walk.percent[walked] + 50.0, 100.0) - 50.0
+    assert np.sqrt(np.mean(error**2)) < 1.5
+    assert all(one.known for one in readings[walked]) and (shares[walked] == 1.0).all()
+
+
+@pytest.mark.parametrize(("kind", "count"), [("stop", {"stops": 1}), ("sit", {"sits": 1})])
+def test_a_wearer_who_rests_is_asked_for_no_force(kind: str, count: dict[str, int]) -> None:
+    walk, readings, shares = felt(11, **count)
+    (rest,) = [one for one in walk.played if one.kind == kind]
+    begin, end = walk.before + rest.begin, walk.before + rest.begin + rest.samples
+    asked = desired_force(100.0 * np.array([one.phase for one in readings]), 40.0) * np.maximum(shares, 0.0)
+    assert np.count_nonzero(asked[begin:end] > 3.0) < 100, "ms of more than 3 N"
+    assert not any(one.known for one in readings[begin + 300:end - 300])
+    assert shares[begin + 500] == -1.0
+    assert (shares[end + 2 * SAMPLES:end + 3 * SAMPLES] == 1.0).all() or end + 3 * SAMPLES > walk.samples
+
+
+@pytest.mark.parametrize("seed", range(20, 24))
+def test_a_stumble_costs_the_phase_or_leaves_it_right(seed: int) -> None:
+    walk, readings, shares = felt(seed, stumbles=1)
+    (trip,) = [one for one in walk.played if one.kind == "stumble"]
+    after = slice(walk.before + trip.begin + trip.samples + SAMPLES, walk.before + walk.samples)
+    phase = 100.0 * np.array([one.phase for one in readings])
+    error = np.abs(np.mod(phase - walk.percent + 50.0, 100.0) - 50.0)
+    asked = (shares > 0.0) & (np.arange(len(shares)) >= walk.before)
+    assert error[after][asked[after]].max(initial=0.0) < 6.0
+
+
+def test_a_cycle_without_an_angle_leads_the_phase_on() -> None:
+    config, memory = gait_phase.configure(lap(), PERIOD_S), gait_phase.initial()
+    for i in range(2 * SAMPLES):
+        reading, memory = gait_phase.step(config, memory, lap()[i % SAMPLES])
+    for _ in range(10):
+        reading, memory = gait_phase.step(config, memory, float("nan"))
+    assert reading.known and (reading.phase * SAMPLES) % SAMPLES == pytest.approx(9, abs=3)
+
+
+def test_a_step_changes_no_memory_that_it_is_given() -> None:
+    config, memory = gait_phase.configure(lap(), PERIOD_S), gait_phase.initial()
+    before = memory.copy()
+    gait_phase.step(config, memory, -0.5)
+    assert np.array_equal(memory, before)
+
+
+def test_the_force_falls_in_a_tenth_of_a_second_and_begins_where_the_rope_is_slack() -> None:
+    gait, share, shares = table(), 1.0, []
+    for _ in range(250):
+        share = gait_phase.follow(share, NEVER_SURE, gait)
+        shares.append(share)
+    assert shares[99] == pytest.approx(0.0, abs=1e-9) and shares[-1] == -1.0
+    sure = NEVER_SURE._replace(known=True, doubt=0.01)
+    assert gait_phase.follow(-1.0, sure._replace(phase=0.2), gait) == -1.0
+    assert gait_phase.follow(-1.0, sure._replace(phase=0.6), gait) == 1.0
+    assert gait_phase.follow(-1.0, sure._replace(phase=0.6, doubt=0.2), gait) == -1.0
