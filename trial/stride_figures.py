@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from trial.metrics import Floats, Mask, between, largest, lowpass, relative_rmse
+from trial.metrics import IDLE_OUTSIDE_PERCENT, Floats, Mask, between, lowpass, relative_rmse
 
 NEEDED = ("cycle", "stride_percent", "gait_percent", "desired_force_n", "phase_doubt_percent", "phase_share",
           "tension_end_n")
-IDLE_OUTSIDE_PERCENT = (8.0, 32.0)
 OFF_N, APART_PERCENT = 3.0, 10.0
 """END beyond which a force without a phase counts, N; distance of felt and true phase from which on they are apart."""
 NO_PHASE_PERCENT = 28.8
@@ -71,9 +70,13 @@ def _stride(
         "rmse_percent": relative_rmse(end - asked, rows, peak_n),
         "true_phase_rmse_percent": relative_rmse(end - true_desired_n, rows, peak_n),
         "phase_error_rms_percent": float(np.sqrt(np.mean(error[known] ** 2))) if known.any() else None,
-        "idle_n": largest(end, rows & (asked == 0.0) & ~between(felt, *IDLE_OUTSIDE_PERCENT)),
+        "idle_n": _largest(end[rows & (asked == 0.0) & ~between(felt, *IDLE_OUTSIDE_PERCENT)]),
         "off_phase_ms": 1e3 * _longest(off) / rate_hz,
     }
+
+
+def _largest(values: Floats) -> float | None:
+    return float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else None
 
 
 def _longest(rows: Mask) -> int:

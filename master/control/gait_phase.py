@@ -124,7 +124,8 @@ def configure(knee_rad: Array, period_s: float, away_rad: float = AWAY_RAD) -> P
     lam, fade = LAMBDA_T * rate_hz, math.exp(-rate_hz * period_s)
     decay, f = math.exp(-lam * period_s), np.eye(STATES)
     f[PHASE, RATE], f[RATE, RATE], f[SIZE, SIZE] = period_s, fade, fade
-    f[AWAY:, AWAY:] = decay * np.array([[1.0 + lam * period_s, period_s], [-lam * lam * period_s, 1.0 - lam * period_s]])
+    turn = lam * period_s
+    f[AWAY:, AWAY:] = decay * np.array([[1.0 + turn, period_s], [-lam * turn, 1.0 - turn]])
     still = np.diag([0.0, (RATE_SHARE * rate_hz) ** 2, SIZE_SHARE**2, away_rad**2, (lam * away_rad) ** 2])
     added = still - f @ still @ f.T  # what leaves each stationary distribution as it is
     added[PHASE, :], added[:, PHASE] = 0.0, 0.0
@@ -229,4 +230,4 @@ def _acquire(s: Any, template: Any, mean: float, rate0: float, away: float) -> N
 
 
 _step: Final[Any] = _compile()
-"""_step(memory, template, transition, added, scalars, angle) → χ² of the innovation test; the memory is changed in place."""
+"""_step(memory, template, transition, added, scalars, angle) → χ² of the innovation test; changes the memory."""

@@ -238,7 +238,7 @@ class Planned:
 
     @property
     def begin(self) -> int:
-        """First sample of the trial: the run-in, and before it the soft start, or a stride in which the phase is found."""
+        """First sample of the trial: the run-in, and before it the soft start, or a stride to find the phase in."""
         return self.first - (1 + len(self.rising) + self.experiment.walk.differs) * self.table.samples
 
     def control(self, table: GaitTable) -> Controller[Any]:

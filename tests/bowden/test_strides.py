@@ -18,8 +18,8 @@ STRIDES = 4
 
 def trial(folder: Path, capsys: pytest.CaptureFixture[str], name: str, *options: str) -> dict[str, Any]:
     knee = written(folder / "strides.csv")
-    status = run(["trial", "--knee", str(knee), "--period", "1.2", "--strides", str(STRIDES), "--controller", "extended",
-                   "--seed", "2", "-o", str(folder / name), "--json", *options])
+    status = run(["trial", "--knee", str(knee), "--period", "1.2", "--strides", str(STRIDES), "--controller",
+                  "extended", "--seed", "2", "-o", str(folder / name), "--json", *options])
     told = capsys.readouterr().out
     assert status == 0, told
     return json.loads(told)
@@ -28,11 +28,15 @@ def trial(folder: Path, capsys: pytest.CaptureFixture[str], name: str, *options:
 def test_the_force_follows_a_phase_that_is_felt(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = trial(tmp_path, capsys, "walk.mcap")
     walk = found["walk"]
-    assert found["outcome"] == "completed" and found["cycles"] == STRIDES
-    assert walk["strides"] == walk["assisted"] == STRIDES - 1 and walk["interrupted"] == 0
+    assert found["outcome"] == "completed"
+    assert found["cycles"] == STRIDES
+    assert walk["strides"] == walk["assisted"] == STRIDES - 1
+    assert walk["interrupted"] == 0
     assert walk["phase_error_rms_percent"] < 1.5
-    assert walk["rmse_percent"]["worst"] < 1.2 and walk["judged_by"] == "true END"
-    assert walk["idle_n"] < 1.0 and walk["off_phase_ms"] == 0.0
+    assert walk["rmse_percent"]["worst"] < 1.2
+    assert walk["judged_by"] == "true END"
+    assert walk["idle_n"] < 1.0
+    assert walk["off_phase_ms"] == 0.0
     assert len({round(one["period_s"], 3) for one in walk["by_stride"]}) == STRIDES
     assert run(["replay", str(tmp_path / "walk.mcap"), "--onto", "controller"]) == 0
 
@@ -45,7 +49,8 @@ def test_a_wearer_who_stops_is_asked_for_no_force(tmp_path: Path, capsys: pytest
     assert found["walk"]["off_phase_ms"] < 100.0
     columns = read.open(tmp_path / "stop.mcap").columns
     standing = np.flatnonzero(columns["cycle"] == STRIDES)[500:-500]
-    assert (columns["desired_force_n"][standing] == 0.0).all() and (columns["phase_share"][standing] == -1.0).all()
+    assert (columns["desired_force_n"][standing] == 0.0).all()
+    assert (columns["phase_share"][standing] == -1.0).all()
 
 
 @pytest.mark.parametrize(("options", "sentence"), [

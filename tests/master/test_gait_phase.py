@@ -1,5 +1,4 @@
-"""The phase from the knee angle alone, on drawn walks: how far it is off, when it is lost and found, what force it asks.
-"""
+"""The phase from the knee angle alone, on drawn walks: its error, its loss and return, and the force asked for."""
 
 from __future__ import annotations
 
@@ -53,7 +52,8 @@ def test_the_phase_is_off_by_less_than_one_and_a_half_percent(seed: int) -> None
     phase = 100.0 * np.array([one.phase for one in readings])[walked]
     error = np.mod(phase - walk.percent[walked] + 50.0, 100.0) - 50.0
     assert np.sqrt(np.mean(error**2)) < 1.5
-    assert all(one.known for one in readings[walked]) and (shares[walked] == 1.0).all()
+    assert all(one.known for one in readings[walked])
+    assert (shares[walked] == 1.0).all()
 
 
 @pytest.mark.parametrize(("kind", "count"), [("stop", {"stops": 1}), ("sit", {"sits": 1})])
@@ -85,7 +85,8 @@ def test_a_cycle_without_an_angle_leads_the_phase_on() -> None:
         reading, memory = gait_phase.step(config, memory, lap()[i % SAMPLES])
     for _ in range(10):
         reading, memory = gait_phase.step(config, memory, float("nan"))
-    assert reading.known and (reading.phase * SAMPLES) % SAMPLES == pytest.approx(9, abs=3)
+    assert reading.known
+    assert (reading.phase * SAMPLES) % SAMPLES == pytest.approx(9, abs=3)
 
 
 def test_a_step_changes_no_memory_that_it_is_given() -> None:
@@ -100,7 +101,8 @@ def test_the_force_falls_in_a_tenth_of_a_second_and_begins_where_the_rope_is_sla
     for _ in range(250):
         share = gait_phase.follow(share, NEVER_SURE, gait)
         shares.append(share)
-    assert shares[99] == pytest.approx(0.0, abs=1e-9) and shares[-1] == -1.0
+    assert shares[99] == pytest.approx(0.0, abs=1e-9)
+    assert shares[-1] == -1.0
     sure = NEVER_SURE._replace(known=True, doubt=0.01)
     assert gait_phase.follow(-1.0, sure._replace(phase=0.2), gait) == -1.0
     assert gait_phase.follow(-1.0, sure._replace(phase=0.6), gait) == 1.0

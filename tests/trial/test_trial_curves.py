@@ -165,7 +165,8 @@ def test_strides_are_read_by_the_column_that_numbers_them(tmp_path: Path, name: 
     found = read_strides(path)
     assert [round(math.degrees(one.values[0]), 2) for one in found] == [-30.0, -31.0, -32.0]
     first = read_curve(path, "knee_angle_rad")
-    assert first.strides == 3 and np.array_equal(first.values, found[0].values)
+    assert first.strides == 3
+    assert np.array_equal(first.values, found[0].values)
 
 
 def test_a_recording_in_time_is_cut_into_its_strides(tmp_path: Path) -> None:
