@@ -36,8 +36,9 @@ class Experiment:
     second. `strides`: strides of `knee` to play in random order, in place of its first one again and again, drawn by
     the bus's seed; `stumbles`, `stops` and `sits` are drawn among them. `phase`: "felt", which is the default with
     `strides`, or "clock". `knee`, `desired`: CSV files of the knee motion and of the desired force, in place of the
-    paper's. `name`: "gait", or an experiment of `bowden trial --experiment`. `model`: the controller's bench model or its
-    file (None: the packaged nominal one). `dry_run`: everything on the bus, drives never enabled. `configuration`: a bench.toml.
+    paper's. `name`: "gait", or an experiment of `bowden trial --experiment`. `model`: the controller's bench model or
+    its file (None: the packaged nominal one). `dry_run`: everything on the bus, drives never enabled.
+    `configuration`: a bench.toml.
     """
 
     peak_n: float | None = None
