@@ -53,7 +53,7 @@ class Variation(NamedTuple):
     sits: int = 0
 
 
-class Played(NamedTuple):
+class PlayedStride(NamedTuple):
     """A stride, or a rest, of a walk: its kind, its first sample and its length in samples."""
 
     kind: str
@@ -72,7 +72,7 @@ class StrideWalk:
     knee_rad: Array
     percent: Array
     number: Array
-    played: tuple[Played, ...]
+    played: tuple[PlayedStride, ...]
 
     @property
     def samples(self) -> int:
@@ -223,6 +223,6 @@ def _joined(before: int, parts: Sequence[_Part]) -> StrideWalk:
         share = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
         knee[seam - half:seam + half] = (
             (1.0 - share) * older.angle(t + older.samples) + share * newer.angle(t))
-    played = tuple(Played(part.kind, int(begin) - before, part.samples)
+    played = tuple(PlayedStride(part.kind, int(begin) - before, part.samples)
                    for part, begin in zip(parts[1:-1], begins[1:-2], strict=True))
     return StrideWalk(before, knee, percent, number, played)
