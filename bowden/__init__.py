@@ -10,6 +10,8 @@
 `docs/library.md` explains it with examples that run.  The rule of this package: a name is imported when it is first
 used, so that `import bowden` and `bowden --help` stay quick; nothing here prints or ends the process.  Bad input
 raises `InputError`, whose text is one sentence: file, key, value, expected values and remedy.
+
+Start reading in `bowden.trials.experiment` or a command of `bowden.cli`.
 """
 
 from __future__ import annotations

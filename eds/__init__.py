@@ -1,6 +1,9 @@
 """The agreement on the wire: EDS files, profiles' numbers and tables, PDO plans, this bench's network.
 
 The rule of this room: it imports nothing of ours but `parameters`, and no CAN library.
+
+Start reading in `eds.dictionary` (a file), `eds.pdo_plan` (its PDOs) and `eds.bench.bench_network` (the bench's
+wire).
 """
 
 from eds.bench.bench_network import DRIVES, END, KNEE, MASTER, SENSORS, SERVO, START, NodeEntry, WireLayout, wire

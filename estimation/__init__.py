@@ -22,4 +22,6 @@ y: measured outputs of a trial, m: its measured motion.  Modules, lowest first:
     simulation_fit         its parameters, from the fitted force path
     rig_fit                constants of another rig
     bench_fit              the file of `bowden fit`
+
+Start reading in `forward_model`, `posterior` and `reference_fit`.
 """

@@ -10,4 +10,6 @@ Modules, lowest first:
     logbook_tables   CSV and Parquet
 
 Callers read and fit the trials.
+
+Start reading in `database`, then `bench_state`.
 """

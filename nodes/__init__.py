@@ -1,6 +1,9 @@
 """CANopen devices, sans-IO: the core (CiA 301), the drives (CiA 402), the sensors (CiA 404), I/O (CiA 401).
 
 The rule of this room: frames, samples and times go in, frames and torques come out; no clock, no bus, no thread.
+
+Start reading in `nodes.core.device`: one device from frames in to frames out; `nodes.drives` and `nodes.sensors` add
+profiles.
 """
 
 from __future__ import annotations

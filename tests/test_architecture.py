@@ -42,6 +42,36 @@ def test_arrows_of_the_diagram_go_down() -> None:
         assert all(level[above] < level[room] for room in re.split(r"[ &]+", below)), above
 
 
+def imported() -> set[tuple[str, str]]:
+    """Return the pairs of rooms of which the first imports the second, read from the code."""
+    found = set()
+    for room in LINTER["root_packages"]:
+        for path in (ROOT / room).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                names = ([alias.name for alias in node.names] if isinstance(node, ast.Import) else
+                         [node.module] if isinstance(node, ast.ImportFrom) and node.module else [])
+                found |= {(room, name.split(".")[0]) for name in names} - {(room, room)}
+    return {(above, below) for above, below in found if below in LINTER["root_packages"]}
+
+
+def test_the_arrows_are_the_imports_of_the_code() -> None:
+    """An arrow without an import is no rule, and an import that no chain of arrows allows is no way down."""
+    arrows = {(above, below) for above, row in re.findall(r"(?m)^    (\w+) --> ([\w& ]+)$", PAGE)
+              for below in re.split(r"[ &]+", row)}
+    reached = set(arrows)
+    while more := {(a, d) for a, b in reached for c, d in arrows if b == c} - reached:
+        reached |= more
+    assert arrows <= imported()
+    assert imported() <= reached
+
+
+@pytest.mark.parametrize("room", sorted(LINTER["root_packages"]))
+def test_a_room_says_what_it_promises_and_where_to_start(room: str) -> None:
+    docstring = ast.get_docstring(ast.parse((ROOT / room / "__init__.py").read_text(encoding="utf-8"))) or ""
+    assert "Start reading" in docstring
+    assert len(docstring.splitlines()) >= 3
+
+
 @pytest.mark.parametrize("room", [
     "physics", "nodes", "trial", "estimation", "master", "diagnosis", "virtual_bus", "bowden"])
 def test_folders_stand_in_the_order_of_their_contract(room: str) -> None:
@@ -59,16 +89,6 @@ def test_every_name_on_the_page_can_be_imported() -> None:
 def test_every_decision_has_a_number_of_its_own() -> None:
     numbers = [path.name[:4] for path in (ROOT / "docs" / "decisions").glob("*.md")]
     assert len(set(numbers)) == len(numbers)
-
-
-def test_the_walk_of_one_signal_names_what_is_there() -> None:
-    walk = PAGE.split("## 5. One signal")[1]
-    rows = re.findall(r"(?m)^\| .* \| `(\w+)` \| (`.*`) \|$", walk)
-    assert len(rows) == len(re.findall(r"(?m)^\| ", walk)) - 1
-    for name, files in rows:
-        for file in re.findall(r"`([\w/.]+)`", files):
-            assert re.search(rf"\b{name}\b", (ROOT / file).read_text(encoding="utf-8")), (name, file)
-    assert {name for name, _ in rows} == {"start_n", "sample", "value", "tension_start_n"}
 
 
 def numbers(path: Path) -> set[str]:

@@ -1,4 +1,7 @@
-"""One MCAP file is one experiment: recorded without loss, read in bulk."""
+"""One MCAP file is one experiment: recorded without loss, read in bulk.
+
+Start reading in `trial.read` (`trial.open`), `trial.record` (the recorder) and `trial.signals` (names and units).
+"""
 
 from trial.read import Trial, open
 from trial.record import Recorder, RecordingError

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, as_completed
-from contextlib import AbstractContextManager
+from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -30,11 +29,6 @@ class Given:
     healthy: tuple[Path, ...]
     holdout: tuple[Path, ...]
     lowpass: float | None
-
-
-def crew(scheduler: str | None, workers: int | None, tls: Path | None = None) -> AbstractContextManager[run.Workers]:
-    """Return processes of this machine, or the workers of a Dask cluster; raises `InputError` where none answers."""
-    return run.local(workers) if scheduler is None else run.cluster(scheduler, tls)
 
 
 def perform(trial: Path, given: Given) -> dict[str, Any]:
@@ -68,12 +62,13 @@ def _state(given: Given) -> tuple[tuple[int, int], ...]:
 def each(trials: Sequence[Path], given: Given, workers: run.Workers, update: Callable[[float], None]
          ) -> dict[str, Mapping[str, Any]]:
     """Diagnose every trial for itself; the order is that of `trials`. `update` receives the share done."""
-    asked = {workers.executor.submit(perform, trial, given): trial for trial in trials}
-    told: dict[Path, Mapping[str, Any]] = {}
-    for future in as_completed(asked):
-        try:
-            told[asked[future]] = future.result()
-        except BrokenExecutor:
-            raise InputError(f"{asked[future]}: {run.ENDED}; give fewer --workers, or shorter trials.") from None
-        update(len(told) / len(asked))
-    return {str(trial): told[trial] for trial in trials}
+    results: dict[Path, Mapping[str, Any]] = {}
+
+    def finished(trial: Path, result: Any) -> None:
+        if isinstance(result, BrokenExecutor):
+            raise InputError(f"{trial}: {run.ENDED}; give fewer --workers, or shorter trials.") from None
+        results[trial] = result
+        update(len(results) / len(trials))
+
+    run.run_all((run.Job(trial, perform, (trial, given)) for trial in trials), workers, finished)
+    return {str(trial): results[trial] for trial in trials}

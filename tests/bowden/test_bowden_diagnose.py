@@ -207,7 +207,6 @@ def test_without_end_it_is_said_what_end_would_tell(whole: Columns, bowden: Run,
 @pytest.mark.parametrize(("arguments", "says"), [
     (["a.csv", "--each", "-o", "x.toml"], "leave -o out"),
     (["a.csv", "--workers", "2"], "--workers belongs to --each"),
-    (["a.csv", "--scheduler-tls", "."], "--scheduler-tls belongs to --scheduler"),
     (["a.csv", "--scheduler", "127.0.0.1:9"], "--scheduler belongs to --each"),
 ])
 def test_what_each_trial_for_itself_cannot_have(arguments: list[str], says: str, bowden: Run, here: Path) -> None:

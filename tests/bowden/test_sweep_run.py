@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import json
 import shutil
 import subprocess
@@ -158,25 +159,19 @@ def test_a_dask_cluster_with_certificates_takes_no_one_without(here: Path) -> No
     subprocess.run(["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=bench",
                     "-keyout", "key.pem", "-out", "cert.pem"], cwd=here, check=True, capture_output=True)
     shutil.copy(here / "cert.pem", here / "ca.pem")
-    ca, certificate, key = (str(here / name) for name in run.TLS_FILES)
-    security = dask.Security(require_encryption=True, tls_ca_file=ca, **{
-        f"tls_{who}_{what}": file for who in ("client", "scheduler", "worker")
-        for what, file in (("cert", certificate), ("key", key))})
+    configured = {f"distributed.comm.tls.{who}.{what}": str(here / f"{what}.pem")
+                  for who in ("client", "scheduler", "worker") for what in ("cert", "key")}
+    configured |= {"distributed.comm.tls.ca-file": str(here / "ca.pem")}
+    secured = dask.Security(require_encryption=True, tls_ca_file=str(here / "ca.pem"), **{
+        f"tls_{who}_{what}": str(here / f"{what}.pem")
+        for who in ("client", "scheduler", "worker") for what in ("cert", "key")})
     with dask.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, processes=False,
-                           security=security, protocol="tls://") as cluster:
-        with run.cluster(cluster.scheduler_address.removeprefix("tls://"), here) as workers:
+                           security=secured, protocol="tls://") as cluster:
+        with importlib.import_module("dask").config.set(configured), run.cluster(cluster.scheduler_address) as workers:
             assert workers.executor.submit(sum, (1, 2)).result() == 3
-        with pytest.raises(InputError, match="give certificates"), run.cluster(cluster.scheduler_address):
+        with pytest.raises(InputError, match=r"set Dask's own distributed\.comm\.tls"), run.cluster(
+                cluster.scheduler_address):
             pass
-
-
-def test_certificates_that_are_not_there_are_named(bowden: Callable[..., Any], here: Path) -> None:
-    told = bowden("sweep", *SHORT, "--scheduler", "127.0.0.1:9", "--scheduler-tls", here, "-o", "t.csv")
-    assert told.status == 2
-    assert "has no ca.pem" in told.stderr
-    alone = bowden("sweep", *SHORT, "--scheduler-tls", here, "-o", "u.csv")
-    assert alone.status == 2
-    assert "belongs to --scheduler" in alone.stderr
 
 
 def test_each_cell_of_the_grid_has_a_line_with_why_its_trials_stopped() -> None:

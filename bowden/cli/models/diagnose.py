@@ -39,8 +39,6 @@ Workers = Annotated[int | None, typer.Option(
     metavar="COUNT", min=1, help="With --each: processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(
     metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
-Tls = Annotated[Path | None, typer.Option(
-    "--scheduler-tls", metavar="DIR", help="With --scheduler: ca.pem, cert.pem and key.pem.")]
 Planned = Annotated[str | None, typer.Option(
     "--plan", metavar="EXPERIMENT", autocompletion=options.experiments,
     help="Without a trial: the smallest of each effect that gait, or an experiment of bowden trial --experiment, would "
@@ -70,7 +68,6 @@ def diagnose(
     each: Each = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    tls: Tls = None,
     logbook: Annotated[Path | None, typer.Option(
         metavar="DIR", help="Logbook of the bench: enters the verdict, and stands in place of --healthy.")] = None,
     plan: Planned = None,
@@ -93,13 +90,13 @@ def diagnose(
     asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
     given = {"--logbook": logbook, "TRIAL": trials, "-o": output, "--report": report, "--figures": figures,
              "--lowpass": lowpass, "--holdout": holdout, "--tracked": tracked, "--each": each, "--workers": workers,
-             "--scheduler": scheduler, "--scheduler-tls": tls, "--path": path}
+             "--scheduler": scheduler, "--path": path}
     if plan is not None:
         _leave_out(given, given, "--plan is before any trial")
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [], json)
     chosen = _trials(trials, asked, given)
     if each:
-        return _each(chosen, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers, tls), json)
+        return _each(chosen, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers), json)
     output_files.refuse([output, report], overwrite=overwrite, inputs=[
         *chosen, *(healthy or ()), *(holdout or ()), calibration, *(tracked or ())])
     output_files.refuse_ending(report, ".html", ".htm", what="a page")
@@ -164,8 +161,6 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
     if given["--each"]:
         _leave_out(given, ("-o", "--report", "--figures", "--tracked", "--logbook", "--path"),
                    "--each gives a verdict for every trial and writes none")
-    if given["--scheduler-tls"] and not given["--scheduler"]:
-        raise InputError("--scheduler-tls belongs to --scheduler; leave it out, or name a scheduler.")
     for option in ("--workers", "--scheduler"):
         if given[option] and not given["--each"]:
             raise InputError(f"{option} belongs to --each; leave it out, or diagnose every trial for itself.")
@@ -178,13 +173,13 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
 
 def _each(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
-    where: tuple[str | None, int | None, Path | None], json: bool,
+    where: tuple[str | None, int | None], json: bool,
 ) -> int:
     """Diagnose every trial for itself; return 0 with a result for each, 1 if some were refused, 2 if all were."""
-    from bowden.sweep import diagnose_each
+    from bowden.sweep import diagnose_each, run
 
     given = diagnose_each.Given(calibration, tuple(healthy), tuple(holdout), lowpass)
-    with diagnose_each.crew(*where) as crew, terminal.progress("diagnosing", shown=not json) as update:
+    with run.workers_of(*where) as crew, terminal.progress("diagnosing", shown=not json) as update:
         told = diagnose_each.each(trials, given, crew, update)
     terminal.emit({"trials": told}) if json else _tell_each(told, lowpass)
     refused = sum(one["verdict"] == "refused" for one in told.values())

@@ -29,9 +29,6 @@ Workers_ = Annotated[int | None, typer.Option(
     "--workers", metavar="COUNT", help="Processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to run on, host:port.")]
 Table = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Table, .csv or .parquet; continued.")]
-Tls = Annotated[Path | None, typer.Option(
-    "--scheduler-tls", metavar="DIR", help="With --scheduler: ca.pem, cert.pem and key.pem; without, Dask is not safe "
-    "beyond a network that is trusted.")]
 
 
 @app.command()
@@ -49,7 +46,6 @@ def sweep(
     keep: Keep = None,
     workers: Workers_ = None,
     scheduler: Scheduler = None,
-    tls: Tls = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
@@ -64,8 +60,6 @@ def sweep(
 
     if draws < 1 or draw_seed < 0 or (workers is not None and workers < 1):
         raise typer.BadParameter("--draws and --workers are whole numbers from 1, --draw-seed from 0")
-    if tls is not None and scheduler is None:
-        raise typer.BadParameter("--scheduler-tls belongs to --scheduler")
     axes = [sweep_rows.axis(text) for text in grid or ()]
     rows = sweep_rows.rows(
         configuration.read(config), _fixed(identify, calibration, knee, desired), axes,
@@ -74,7 +68,7 @@ def sweep(
     with Growing(output, list(rows[0]), overwrite=overwrite) as table:
         resumed = sum(table.found(row) is not None for row in rows)
         _say_resumed(table, resumed, len(rows))
-        with _crew(scheduler, tls, workers, quiet=json, idle=resumed == len(rows)) as crew:
+        with _crew(scheduler, workers, quiet=json, idle=resumed == len(rows)) as crew:
             _run(rows, table, crew, sweep_run.calibrations_beside(output, overwrite), keep, quiet=json)
         found = [table.found(row) or {} for row in rows]
     cells = _cells(found, [name for name, _ in axes])
@@ -192,7 +186,7 @@ def _say_resumed(table: Any, resumed: int, total: int) -> None:
 
 @contextlib.contextmanager
 def _crew(
-    scheduler: str | None, tls: Path | None, workers: int | None, *, quiet: bool, idle: bool
+    scheduler: str | None, workers: int | None, *, quiet: bool, idle: bool
 ) -> Iterator[Workers | None]:
     """Workers of the sweep, local or of a scheduler; None if no trial remains to be run."""
     from bowden.sweep import run as sweep_run
@@ -201,12 +195,9 @@ def _crew(
     if idle:
         yield None
         return
-    if scheduler is not None:
-        with sweep_run.cluster(scheduler, tls) as crew:
-            yield crew
-        return
-    session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not quiet))
-    with sweep_run.local(workers) as crew:
+    if scheduler is None:
+        session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not quiet))
+    with sweep_run.workers_of(scheduler, workers) as crew:
         yield crew
 
 
