@@ -128,4 +128,4 @@ def hardware_stamps(channel: str) -> bool:
     except OSError:
         return False
     (offered,) = struct.unpack_from("=4xI", answer.raw)
-    return offered & HARDWARE_STAMPS == HARDWARE_STAMPS
+    return bool(offered & HARDWARE_STAMPS == HARDWARE_STAMPS)

@@ -9,14 +9,16 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from eds.cia301 import SERVICES, Abort, Emcy, ErrorRegister, Frame, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
 from nodes.core import cob_id
-from nodes.core.interfaces import EmergencyHost
 from nodes.core.parts import FAR_NS, US, Part
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 REGISTER: Final = key(0x1001)
 HISTORY: Final = 0x1003
@@ -32,7 +34,7 @@ _LAYOUT: Final = struct.Struct("<HB5s")
 class Emergency(Part):
     """Errors of one device: the active ones, and the messages sent and pending."""
 
-    def __init__(self, device: EmergencyHost) -> None:
+    def __init__(self, device: Device) -> None:
         self._device = device
         self._active: dict[tuple[int, int], int] = {}
         self._pending: deque[bytes] = deque(maxlen=QUEUE)

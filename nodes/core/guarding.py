@@ -5,14 +5,16 @@ A device with a heartbeat (0x1017 not 0), or without 0x100C in its dictionary, i
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from eds.cia301 import HEARTBEAT_BASE, Emcy, Frame, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
 from nodes.core.heartbeat import PRODUCER
-from nodes.core.interfaces import HeartbeatHost
 from nodes.core.parts import FAR_NS, MS, Part
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 GUARD_TIME: Final = 0x100C
 LIFE_TIME_FACTOR: Final = 0x100D
@@ -23,7 +25,7 @@ class Guarding(Part):
 
     service = Service.ERROR_CONTROL
 
-    def __init__(self, device: HeartbeatHost) -> None:
+    def __init__(self, device: Device) -> None:
         self._device = device
         self._toggle = 0
         self._due_ns = FAR_NS

@@ -7,13 +7,15 @@ hears and reports each loss once.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from eds.cia301 import HEARTBEAT_BASE, Abort, Emcy, Frame, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
-from nodes.core.interfaces import HeartbeatHost
 from nodes.core.parts import FAR_NS, MS, Handler, Part
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 PRODUCER: Final = 0x1017
 CONSUMER: Final = 0x1016
@@ -22,7 +24,7 @@ CONSUMER: Final = 0x1016
 class Producer(Part):
     """Says every 0x1017 ms that this node lives, and in which state; a boot-up is its first heartbeat."""
 
-    def __init__(self, device: HeartbeatHost) -> None:
+    def __init__(self, device: Device) -> None:
         self._device = device
         self._due_ns = FAR_NS
         self.applied = {PRODUCER: self._configured}
@@ -85,7 +87,7 @@ class Consumer(Part):
 
     service = Service.ERROR_CONTROL
 
-    def __init__(self, device: HeartbeatHost) -> None:
+    def __init__(self, device: Device) -> None:
         self._device = device
         self._watched: list[_Watched] = []
         self.checks = {CONSUMER: self._check}

@@ -10,13 +10,15 @@ import json
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from eds.cia301 import Frame, Service
 from eds.cia305 import BIT_RATES, FASTSCAN_RESET, LSS_REQUEST, LSS_RESPONSE, UNCONFIGURED, LssAddress, LssCommand
 from eds.dictionary import key
-from nodes.core.interfaces import LssHost
 from nodes.core.parts import FAR_NS, MS, Handler, Part
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 _ADDRESS: Final = tuple(key(0x1018, sub) for sub in range(1, 5))
 _SELECT: Final = LssCommand.SELECT_VENDOR
@@ -34,7 +36,7 @@ class LssSlave(Part):
 
     service = Service.LSS
 
-    def __init__(self, device: LssHost, path: Path | None) -> None:
+    def __init__(self, device: Device, path: Path | None) -> None:
         self._device = device
         self._path = None if path is None else path.with_name(path.name + ".lss")
         self._stored: tuple[int, int | None] = device.node_id, None

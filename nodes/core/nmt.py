@@ -5,11 +5,13 @@ The rule of this file: the state changes only by `eds.cia301.NMT_TRANSITIONS`, b
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from eds.cia301 import HEARTBEAT_BASE, NMT_TRANSITIONS, Frame, NmtCommand, NmtState
 from eds.cia305 import UNCONFIGURED
-from nodes.core.interfaces import NmtHost
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 _COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
 
@@ -29,7 +31,7 @@ class Nmt:
 
     __slots__ = ("_device", "state")
 
-    def __init__(self, device: NmtHost) -> None:
+    def __init__(self, device: Device) -> None:
         self._device = device
         self.state = NmtState.INITIALISING
 

@@ -10,15 +10,17 @@ import json
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from eds.cia301 import SIGNATURE_LOAD, SIGNATURE_SAVE, Abort, Emcy
 from eds.datatype import Value, encode
 from eds.dictionary import key
-from nodes.core.interfaces import StoreHost
 from nodes.core.objects import outside
 from nodes.core.parts import Part
 from nodes.core.pdo.pdo_mapping import process_output
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 SAVE: Final = 0x1010
 LOAD: Final = 0x1011
@@ -40,7 +42,7 @@ this device's own: manufacturer."""
 class Store(Part):
     """Parameters that survive a reset; with a path, also a power cycle."""
 
-    def __init__(self, device: StoreHost, path: Path | None) -> None:
+    def __init__(self, device: Device, path: Path | None) -> None:
         self._device, self._path = device, path
         self._defaults = dict(device.values)
         self._stored: dict[int, Value] = {}

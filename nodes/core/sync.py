@@ -6,14 +6,16 @@ The rule of this file: a SYNC of another length than 0x1019 announces is reporte
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from eds.cia301 import COB_ID_NO_RTR, SERVICES, SYNC_MAX, Abort, Emcy, Frame, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
 from nodes.core import cob_id
-from nodes.core.interfaces import SyncHost
 from nodes.core.parts import FAR_NS, US, Handler, Part
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 COB_ID: Final = 0x1005
 PERIOD: Final = 0x1006
@@ -29,7 +31,7 @@ class Sync(Part):
 
     service = Service.SYNC
 
-    def __init__(self, device: SyncHost) -> None:
+    def __init__(self, device: Device) -> None:
         self._device = device
         self._fault = False
         self._counter = 0

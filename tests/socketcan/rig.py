@@ -33,6 +33,24 @@ wall_clock = time.time_ns
 PATIENCE_S = 600
 """After this long, of the kernel's own time, a trial tells where it hangs and ends; a bench serves until told."""
 
+PATIENT = """
+[network]
+rate_hz = 20
+heartbeat_timeout_ms = 3000
+targets_deadline_ms = 2000
+start_deadline_cycles = 20
+[limits]
+stale_cycles = 20
+"""
+"""A configuration for tests of function: a guest with a tenth of a processor keeps its cycle and its deadlines."""
+
+
+def patient(folder: Path) -> tuple[str, Path]:
+    """Return the option of a configuration under which a loaded machine delays nothing that is looked at."""
+    path = folder / "patient.toml"
+    path.write_text(PATIENT, encoding="utf-8")
+    return "--config", path
+
 
 class Told(NamedTuple):
     """What a command line said."""

@@ -18,7 +18,7 @@ def findings(folder: Path, channel: str) -> dict[str, dict[str, object]]:
 
 
 def test_the_doctor_finds_the_bench_and_names_what_is_wrong(tmp_path: Path, own: str) -> None:
-    with rig.bench(tmp_path, own, "--rate", 100):
+    with rig.bench(tmp_path, own, *rig.patient(tmp_path)):
         seen = findings(tmp_path, own)
         assert str(seen["time stamps"]["seen"]) == "of the kernel", "a virtual interface has no clock of its own"
         for what in ("interface", "bus load", "error frames", "other masters", "permissions",

@@ -20,7 +20,6 @@ pytestmark = pytest.mark.guest("native", "uml", "icount")
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = Path(os.environ.get("BOWDEN_NODE_MODULES", ROOT / "build" / "foreign" / "node_modules"))
 DEVICE = ROOT / "tests" / "foreign" / "canopen_device.js"
-RATE = 100
 MILLIDEGREE = np.radians(1e-3)
 """The knee drive's position counts in it."""
 ANSWERED = 0.95
@@ -45,9 +44,9 @@ def knee(own: str) -> Iterator[str]:
 def test_a_foreign_knee_drive_is_brought_up_and_exchanges_pdos(tmp_path: Path, knee: str) -> None:
     faults = tmp_path / "faults.toml"
     faults.write_text(f'[[fault]]\nkind = "power_off"\nnode = {KNEE}\n')
-    with rig.bench(tmp_path, knee, "--rate", RATE, "--faults", faults, nodes=(1, 3, 4)):
-        told = rig.trial(tmp_path, knee, "--rate", RATE, "--cycles", 1, "--settle", 0, "--period", 1, "--peak", 20,
-                         "--dry-run").wait()
+    with rig.bench(tmp_path, knee, *rig.patient(tmp_path), "--faults", faults, nodes=(1, 3, 4)):
+        told = rig.trial(tmp_path, knee, *rig.patient(tmp_path), "--cycles", 1, "--settle", 0, "--period", 1,
+                         "--peak", 20, "--dry-run").wait()
     assert told.result["outcome"] == "completed", told
     columns = rig.recorded(tmp_path).columns
     target, angle = columns["knee_target_rad"], columns["knee_angle_rad"]

@@ -25,8 +25,7 @@ from tests.socketcan import rig
 
 pytestmark = pytest.mark.guest("native", "uml", "icount")
 
-RATE = 100
-ENDLESS = ("--rate", RATE, "--cycles", 60, "--settle", 0, "--period", 1, "--peak", 20)
+ENDLESS = ("--cycles", 60, "--settle", 0, "--period", 1, "--peak", 20)
 """A minute of gait: such a trial ends by what is done to it, or completes and so fails its test."""
 SERVO_PDO, KNEE_PDO, TARGETS = 0x181, 0x182, 0x201
 LOOKS = 400
@@ -35,14 +34,14 @@ LOOKS = 400
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[rig.Process]:
-    with rig.bench(tmp_path, "vcan0", "--rate", RATE) as process:
+    with rig.bench(tmp_path, "vcan0", *rig.patient(tmp_path)) as process:
         yield process
 
 
 def pulling(folder: Path) -> rig.Process:
     """A trial on vcan0 whose drives are both enabled, by what their PDOs say."""
     with KernelBus("vcan0") as watching:
-        process = rig.trial(folder, "vcan0", *ENDLESS)
+        process = rig.trial(folder, "vcan0", *rig.patient(folder), *ENDLESS)
         enabled: set[int] = set()
         while enabled != {SERVO_PDO, KNEE_PDO}:
             heard = watching.recv(60.0)
@@ -102,7 +101,7 @@ def test_nodes_that_are_cut_off_stop_the_trial(tmp_path: Path, bench: rig.Proces
 def test_a_second_master_is_refused_and_does_not_stop_the_first(tmp_path: Path, bench: rig.Process) -> None:
     process = pulling(tmp_path)
     (tmp_path / "second").mkdir()
-    second = rig.trial(tmp_path / "second", "vcan0", *ENDLESS).wait()
+    second = rig.trial(tmp_path / "second", "vcan0", *rig.patient(tmp_path), *ENDLESS).wait()
     assert second.status == 1
     assert re.match(r"refused: (another master \(node 127\) is on the bus|somebody sends SYNC already)",
                     second.result["stop_reason"]), second

@@ -8,7 +8,7 @@ import pytest
 
 from tests.socketcan import rig
 
-pytestmark = pytest.mark.guest("native", "uml", "icount")
+pytestmark = pytest.mark.guest("native", "icount")
 
 RMSE_TOLERANCE = 1.0
 """Percent points between the kernel's bus and ours at 100 Hz: the guest's scheduler delays some targets a cycle."""

@@ -10,31 +10,92 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from parameters import InputError
-from trial.convert.frames import ChannelNumbers, Gathered, LoggedFrames, Row
+from trial.convert.frames import ChannelNumbers, Gathered, LoggedFrames
 from trial.mcap_file import cdr
 
+NS = 1_000_000_000
+_STAMP = r"\((?:(-?(?:[1-8]\d{9}|\d{1,9}))\.(\d{1,9})|[-\d :.]+)\)"
 _LINE = re.compile(
-    r"\((-?(?:[1-8]\d{9}|\d{1,9}))\.(\d{1,9})\) (\S+) ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
-    r"#(R[0-8]?|(?:[0-9A-Fa-f]{2}){0,8})"
+    rf"{_STAMP} (\S+) ([0-9A-Fa-f]{{3}}|[0-9A-Fa-f]{{8}})#(R[0-8]?|(?:[0-9A-Fa-f]{{2}}\.?){{0,8}})"
     r"(?:_([9A-Fa-f]))?(?: ([RT]))?$")
 _SCREEN = re.compile(
-    r"(?:\((-?(?:[1-8]\d{9}|\d{1,9}))\.(\d{1,9})\)\s+)?(\S+)\s+(?:([RT])X [-B] [-E]\s+)?"
-    r"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(\d{1,2})\]"
-    r"(?:\s+remote request|((?:\s+[0-9A-Fa-f]{2}){0,64}))(?:\s.*)?$")
+    rf"(?:{_STAMP}\s+)?(\S+)\s+(?:([RT])X [-B] [-E]\s+)?([0-9A-Fa-f]{{3}}|[0-9A-Fa-f]{{8}})\s+\[(\d{{1,2}})\]"
+    r"(?:\s+(remote request)|((?:\s+[0-9A-Fa-f]{2}){0,64}))(?:\s.*)?$")
+_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 LONGEST = 400  # characters that candump writes for a frame of 64 bytes, at most
 REMEDY = "record it with candump -L"
 _FD_LINE = re.compile(r"\(-?\d+\.\d+\) \S+ [0-9A-Fa-f]+##")
 ERROR_BIT, EXTENDED_MASK = 0x20000000, 0x1FFFFFFF
 
 
+class CandumpLine(NamedTuple):
+    """One classical frame of candump: `time_ns` None without a time in seconds; `shown`: of the screen's format.
+
+    `long` marks a DLC above 8. `flags` are those of `cdr`; a remote frame has a `dlc` and no `payload`.
+    """
+
+    time_ns: int | None
+    channel: str
+    can_id: int
+    flags: int
+    dlc: int
+    sent: bool
+    payload: bytes
+    shown: bool
+    long: bool
+
+
+def parse(line: str) -> CandumpLine | None:
+    """Return the frame of a line of candump's log or screen; None for a CAN FD frame or another line."""
+    text = _COLOURS.sub("", line).strip()
+    if len(text) > LONGEST:
+        return None
+    found = _LINE.match(text)
+    if found is not None:
+        seconds, fraction, channel, identifier, body, long, direction = found.groups()
+        remote, size, data = body.startswith("R"), body[1:], body.replace(".", "")
+    else:
+        found = _SCREEN.match(text)
+        if found is None:
+            return None
+        seconds, fraction, channel, direction, identifier, size, request, octets = found.groups()
+        if len(size) > 1 or int(size) > 8:  # of a CAN FD frame it has two digits
+            return None
+        remote, long, data = request is not None, None, "".join((octets or "").split())[:2 * int(size)]
+    time_ns = None if seconds is None else (
+        int(seconds) * NS + int(fraction.ljust(9, "0")) * (-1 if seconds.startswith("-") else 1))
+    can_id, flags = int(identifier, 16), cdr.EXTENDED if len(identifier) == 8 else 0
+    if flags and can_id & ERROR_BIT:
+        flags = cdr.ERROR
+    payload = b"" if remote else bytes.fromhex(data)
+    return CandumpLine(time_ns, channel, can_id & EXTENDED_MASK, flags | (cdr.REMOTE if remote else 0),
+                       int(size or 0) if remote else len(payload), direction == "T", payload,
+                       found.re is _SCREEN, long is not None)
+
+
 def is_log(line: str) -> bool:
     """Return whether a line is candump's, of its log or of its screen."""
-    return bool(_LINE.match(line.strip()) or _FD_LINE.match(line) or _SCREEN.match(line.strip()))
+    text = _COLOURS.sub("", line).strip()
+    return bool(_LINE.match(text) or _FD_LINE.match(text) or _SCREEN.match(text))
+
+
+def each(lines: Iterable[str], name: str) -> Iterator[CandumpLine]:
+    """Yield the frames of candump's lines; empty lines are passed over, and a line without a classical frame is an
+    `InputError` with its number.
+    """
+    for number, line in enumerate(lines, 1):
+        frame = parse(line)
+        if frame is not None:
+            yield frame
+        elif line.strip():
+            raise InputError(f"{name}:{number}: {line.strip()[:60]!r} is no line of candump with a classical CAN "
+                             "frame; write the log by candump -L.")
 
 
 def read(lines: Iterable[str]) -> LoggedFrames:
@@ -45,21 +106,30 @@ def read(lines: Iterable[str]) -> LoggedFrames:
     rows = Gathered()
     channels = ChannelNumbers()
     counts = {"malformed_lines": 0, "fd_frames": 0, "dlc_above_8": 0, "unstamped_lines": 0}
+    shown = 0
     for line in lines:
-        text = line.strip()
-        if len(text) > LONGEST:
-            counts["malformed_lines"] += 1
-            continue
-        found = _LINE.match(text)
-        row = _row(found, channels, counts) if found is not None else _shown(text, channels, counts)
-        if row is not None:
-            rows.add(row)
-    _refuse_screen(rows, counts)
+        frame = parse(line)
+        if frame is None:
+            counts[_anomaly(line)] += bool(line.strip())
+        elif frame.time_ns is None:
+            counts["unstamped_lines"] += 1
+        else:
+            shown += frame.shown
+            counts["dlc_above_8"] += frame.long
+            rows.add((frame.time_ns, frame.can_id, frame.flags, frame.dlc, channels.number(frame.channel), frame.sent,
+                      frame.payload))
+    _refuse_screen(rows, counts, shown)
     return LoggedFrames(rows.rows(), channels.names, counts)
 
 
-def _refuse_screen(rows: Gathered, counts: dict[str, int]) -> None:
-    unstamped, shown = counts.pop("unstamped_lines"), counts.pop("_shown", 0)
+def _anomaly(line: str) -> str:
+    """Return the count that a line without a classical frame belongs to."""
+    text = line.strip()
+    return "fd_frames" if len(text) <= LONGEST and (_FD_LINE.match(text) or _SCREEN.match(text)) else "malformed_lines"
+
+
+def _refuse_screen(rows: Gathered, counts: dict[str, int], shown: int) -> None:
+    unstamped = counts.pop("unstamped_lines")
     if unstamped > len(rows):
         raise InputError(f"{unstamped} lines are as candump shows them on a screen, without a time; {REMEDY}.")
     if shown:
@@ -70,53 +140,10 @@ def _refuse_screen(rows: Gathered, counts: dict[str, int]) -> None:
         counts["unstamped_lines"] = unstamped
 
 
-def _row(found: re.Match[str], channels: ChannelNumbers, counts: dict[str, int]) -> Row:
-    seconds, fraction, channel, identifier, data, long, direction = found.groups()
-    counts["dlc_above_8"] += long is not None
-    return _made((seconds, fraction), channel, identifier, data, direction == "T", channels)
-
-
-def _shown(text: str, channels: ChannelNumbers, counts: dict[str, int]) -> Row | None:
-    """Read a line of candump's screen output; a line that is not a frame is counted and gives None."""
-    found = _SCREEN.match(text)
-    if found is None:
-        fd_frame = bool(_FD_LINE.match(text))
-        counts["fd_frames"] += fd_frame
-        counts["malformed_lines"] += not fd_frame and bool(text)
-        return None
-    seconds, fraction, channel, direction, identifier, length, data = found.groups()
-    if len(length) > 1 or int(length) > 8:  # of a CAN FD frame it has two digits
-        counts["fd_frames"] += 1
-        return None
-    if seconds is None:
-        counts["unstamped_lines"] += 1
-        return None
-    counts["_shown"] = counts.get("_shown", 0) + 1
-    body = f"R{length}" if data is None else "".join(data.split())[:2 * int(length)]
-    return _made((seconds, fraction), channel, identifier, body, direction == "T", channels)
-
-
-def _made(
-    stamp: tuple[str, str], channel: str, identifier: str, data: str, sent: bool, channels: ChannelNumbers
-) -> Row:
-    seconds, fraction = stamp
-    time_ns = int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0")) * (-1 if seconds.startswith("-") else 1)
-    can_id, flags = int(identifier, 16), cdr.EXTENDED if len(identifier) == 8 else 0
-    if flags and can_id & ERROR_BIT:
-        flags = cdr.ERROR
-    can_id &= EXTENDED_MASK
-    if data.startswith("R"):
-        dlc, payload, flags = int(data[1:] or 0), b"", flags | cdr.REMOTE
-    else:
-        payload = bytes.fromhex(data)
-        dlc = len(payload)
-    return time_ns, can_id, flags, dlc, channels.number(channel), sent, payload
-
-
 def lines(rows: NDArray[np.void]) -> Iterator[str]:
     """Write frames as candump's lines; the format's resolution is 1 µs, finer digits are cut off."""
     for time_ns, can_id, flags, dlc, channel, sent, data in rows.tolist():
-        seconds, rest = divmod(time_ns, 1_000_000_000)
+        seconds, rest = divmod(time_ns, NS)
         identifier = f"{can_id:08X}" if flags & cdr.EXTENDED else f"{can_id:03X}"
         if flags & cdr.ERROR:
             identifier = f"{can_id | ERROR_BIT:08X}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as json_text
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -105,8 +105,7 @@ def _frames(source: Path | None, chosen: BusSettings | None, bitrate: int,
     from parameters import InputError
 
     if source is not None:
-        for message in _recorded(source):
-            yield message.arbitration_id, bytes(message.data or b""), stamp_ns(message), _special(message), 0
+        yield from _of_file(source)
         return
     assert chosen is not None
     if seconds is None and chosen.simulated:
@@ -125,22 +124,40 @@ def _frames(source: Path | None, chosen: BusSettings | None, bitrate: int,
         yield 0, b"", 0, "lost", getattr(bus, "lost", 0)
 
 
-def _recorded(source: Path) -> Iterator[Any]:
-    import can
-
-    from master.node_access import candump_lines
+def _of_file(source: Path) -> Iterator[tuple[int, bytes, int, str, int]]:
+    """Yield the frames of a recorded file as `_frames` does; `-` is candump's output on standard input."""
+    from master.network.link import stamp_ns
     from parameters import InputError
 
     if str(source) == "-":
-        yield from candump_lines.messages(sys.stdin, "-")
-        return
-    if not source.is_file():
+        yield from _dumped(sys.stdin, "-")
+    elif not source.is_file():
         raise InputError(f"{source}: no such file; give a trial (.mcap), a CAN log (.log, .asc, .blf), or - for "
                          "candump's lines on standard input.")
-    if source.suffix.lower() in (".log", ".txt"):
+    elif source.suffix.lower() in (".log", ".txt"):
         with source.open(encoding="utf-8", errors="replace") as lines:
-            yield from candump_lines.messages(lines, str(source))
-        return
+            yield from _dumped(lines, str(source))
+    else:
+        for message in _recorded(source):
+            yield message.arbitration_id, bytes(message.data or b""), stamp_ns(message), _special(message), 0
+
+
+def _dumped(lines: Iterable[str], name: str) -> Iterator[tuple[int, bytes, int, str, int]]:
+    """Yield the frames of candump's lines; a line without a time counts as at 0."""
+    from trial.convert import candump
+    from trial.mcap_file import cdr
+
+    for frame in candump.each(lines, name):
+        special = _special_of(frame.can_id, frame.payload, frame.dlc, error=frame.flags & cdr.ERROR != 0,
+                              remote=frame.flags & cdr.REMOTE != 0, extended=frame.flags & cdr.EXTENDED != 0)
+        yield frame.can_id, frame.payload, frame.time_ns or 0, special, 0
+
+
+def _recorded(source: Path) -> Iterator[Any]:
+    import can
+
+    from parameters import InputError
+
     try:
         with closing(_reader(source)) as reader:
             yield from reader
@@ -159,13 +176,19 @@ def _reader(source: Path) -> Any:
 
 
 def _special(message: Any) -> str:
-    if message.is_error_frame:
+    return _special_of(message.arbitration_id, bytes(message.data or b""), message.dlc, error=message.is_error_frame,
+                       remote=message.is_remote_frame, extended=message.is_extended_id)
+
+
+def _special_of(can_id: int, data: bytes, dlc: int, *, error: bool, remote: bool, extended: bool) -> str:
+    """Return in words what a frame is that is no data frame of the base format; "" for one that is."""
+    if error:
         from eds.error_frames import decode
 
-        return f"error frame: {decode(message.arbitration_id, bytes(message.data))}"
-    if message.is_remote_frame:
-        return f"remote request of {message.dlc} bytes"
-    return f"extended identifier: {bytes(message.data).hex(' ')}" if message.is_extended_id else ""
+        return f"error frame: {decode(can_id, data)}"
+    if remote:
+        return f"remote request of {dlc} bytes"
+    return f"extended identifier: {data.hex(' ')}" if extended else ""
 
 
 def _dictionaries(given: list[str]) -> dict[int, Dictionary]:

@@ -6,13 +6,17 @@ departs from it is refused, and a write that changes nothing is not a departure.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from eds.cia301 import SYNC_MAX, Abort, pdo_type_allowed
 from eds.dictionary import key
 from nodes.core import cob_id
-from nodes.core.interfaces import PdoHost
 from nodes.core.objects import Objects
 from nodes.core.parts import Check
 from nodes.core.pdo.pdo_mapping import mapping_refused, word_refused
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 
 def words(objects: Objects, index: int) -> tuple[int, ...]:
@@ -23,7 +27,7 @@ def words(objects: Objects, index: int) -> tuple[int, ...]:
 class Rules:
     """The checks of one device's PDO parameters."""
 
-    def __init__(self, device: PdoHost) -> None:
+    def __init__(self, device: Device) -> None:
         self._device = device
 
     def check(self, index: int) -> Check:

@@ -7,19 +7,21 @@ moves outside OPERATIONAL.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from eds.cia301 import Frame, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
 from eds.pdo_plan import compile_plan
 from nodes.core import cob_id
-from nodes.core.interfaces import PdoHost
 from nodes.core.parts import FAR_NS, Applied, Handler, Part
 from nodes.core.pdo import pdo_parameters
 from nodes.core.pdo.pdo_mapping import mapping_refused
 from nodes.core.pdo.receive_pdo import ReceivePdo
 from nodes.core.pdo.transmit_pdo import TransmitPdo
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 _frame: Final = tuple.__new__
 """Makes a Frame without the cost of its constructor, in the cyclic path only."""
@@ -37,7 +39,7 @@ class Pdos(Part):
 
     service = Service.PDO
 
-    def __init__(self, device: PdoHost) -> None:
+    def __init__(self, device: Device) -> None:
         self._device = device
         indices = {at >> 8 for at in device.objects.entries}
         self._receive = {n: ReceivePdo(self, device, n) for n in range(1, 513) if 0x13FF + n in indices}

@@ -7,16 +7,18 @@ outside its object's limits is dropped for that object.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from eds.cia301 import SYNC_MAX, Emcy
 from eds.datatype import Value
 from eds.dictionary import Entry, key
 from eds.pdo_plan import PdoPlan
 from nodes.core import cob_id
-from nodes.core.interfaces import PdoHost
 from nodes.core.objects import outside
 from nodes.core.parts import FAR_NS, MS
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 
 class Taken(NamedTuple):
@@ -45,7 +47,7 @@ class ReceivePdo:
                  "_synchronous", "_unpack", "_watched", "can_id", "data", "due_ns", "number",
                  "plan")
 
-    def __init__(self, pdos: ArrivedPdos, device: PdoHost, number: int) -> None:
+    def __init__(self, pdos: ArrivedPdos, device: Device, number: int) -> None:
         self._pdos, self._device, self.number = pdos, device, number
         self._fault: Emcy | None = None
         self._late = False

@@ -6,13 +6,17 @@ never sooner than the inhibit time allows.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from eds.cia301 import COB_ID_NO_RTR, SYNC_MAX, Frame
 from eds.dictionary import key
 from eds.pdo_plan import PdoPlan
 from nodes.core import cob_id
-from nodes.core.interfaces import PdoHost
 from nodes.core.parts import FAR_NS, MS, US
 from nodes.core.pdo.pdo_mapping import packer
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 
 class TransmitPdo:
@@ -21,7 +25,7 @@ class TransmitPdo:
     __slots__ = ("_device", "_event_ns", "_inhibit_ns", "_last", "_requested", "_timer_due_ns", "can_id", "every",
                  "free_ns", "left", "number", "payload", "plan", "requestable", "start")
 
-    def __init__(self, device: PdoHost, number: int) -> None:
+    def __init__(self, device: Device, number: int) -> None:
         self._device, self.number = device, number
         self.free_ns = 0
         self.stop()

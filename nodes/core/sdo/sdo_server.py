@@ -6,14 +6,16 @@ Every request gets exactly one answer, the right one or an abort with its code; 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Abort, Frame, NmtState, Service
-from nodes.core.interfaces import SdoHost
 from nodes.core.parts import FAR_NS, MS, Handler, Part
 from nodes.core.sdo.sdo_block import BlockDownload, BlockUpload
 from nodes.core.sdo.sdo_segment import SegmentDownload, SegmentUpload
 from nodes.core.sdo.sdo_transfer import Received, Transfer, TransferAbortedError, multiplexer
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 TIMEOUT_NS: Final = 1000 * MS
 """Silence of the client after which a transfer is aborted; CiA 301 makes the time the device's choice."""
@@ -28,7 +30,7 @@ class SdoServer(Part):
 
     service = Service.SDO
 
-    def __init__(self, device: SdoHost) -> None:
+    def __init__(self, device: Device) -> None:
         self._device = device
         self._transfer: Transfer | None = None
         self._silent_ns = FAR_NS
