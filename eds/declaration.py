@@ -180,6 +180,11 @@ class DeclaredBench:
         return all(path.end for path in self.force_paths)
 
     @property
+    def path_prefixes(self) -> tuple[str, ...]:
+        """Names of the force paths, by which a bench of several records its signals; ("",) of a single one."""
+        return tuple(path.name for path in self.force_paths) if len(self.force_paths) > 1 else ("",)
+
+    @property
     def followed(self) -> tuple[DeclaredDevice, ...]:
         """Encoders of the joints without a drive."""
         return tuple(self.named(joint.measured_by) for joint in self.joints if not joint.driven_by)

@@ -178,6 +178,12 @@ class Logbook:
     # -- settings ------------------------------------------------------------------------------------------------
 
     @property
+    def path(self) -> str:
+        """The force path that is followed, of a bench of several; "" of a bench of a single one."""
+        rows = self._rows("SELECT value FROM setting WHERE key = 'path'")
+        return str(rows[0][0]) if rows else ""
+
+    @property
     def references(self) -> int:
         """Number of reference sessions."""
         return int(self._rows("SELECT value FROM setting WHERE key = 'references'")[0][0])
@@ -362,8 +368,11 @@ class Logbook:
         return str(full.relative_to(home)) if full.is_relative_to(home) else str(full)
 
 
-def create(folder: Path, name: str, references: int = REFERENCES) -> None:
-    """Make an empty logbook in `folder`, which is made where it is absent; raises `InputError` where one is there."""
+def create(folder: Path, name: str, references: int = REFERENCES, path: str = "") -> None:
+    """Make an empty logbook in `folder`, which is made where it is absent; raises `InputError` where one is there.
+
+    `path`: the force path that is followed, of a bench of several.
+    """
     place = folder / FILE
     if place.exists():
         raise InputError(f"{folder}: there is a logbook already; give another folder.")
@@ -379,7 +388,7 @@ def create(folder: Path, name: str, references: int = REFERENCES) -> None:
         db = _connected(place)
         try:
             db.execute("PRAGMA journal_mode = WAL")
-            _migrate(db, place, {"name": name or folder.name, "references": str(references)})
+            _migrate(db, place, {"name": name or folder.name, "references": str(references), "path": path})
         finally:
             db.close()
 

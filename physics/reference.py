@@ -32,7 +32,7 @@ class Desired(NamedTuple):
 class Reference:
     """One desired motion and force, periodic in `period_s`; `phase` counts cycles and may exceed 1."""
 
-    __slots__ = ("_angle", "_force", "_rate", "departs_from_eq1_rad", "peak_n", "period_s")
+    __slots__ = ("_angle", "_force", "_rate", "_sum_rad", "departs_from_eq1_rad", "peak_n", "period_s")
 
     def __init__(
         self, period_s: float, angle: tuple[Array, Array], force: tuple[Array, Array, Array]
@@ -43,6 +43,7 @@ class Reference:
         leaving and reaching each point, which differ where the curve has a corner.
         """
         self.period_s = period_s
+        self._sum_rad: float | None = None
         self._rate = CYCLE_POINTS / period_s
         self._angle = _cubics(angle[0], angle[1], angle[1])
         self._force = _cubics(*force)
@@ -50,10 +51,13 @@ class Reference:
         self.departs_from_eq1_rad = float(np.max(np.abs(angle[0] - laws.knee_angle(_PERCENT))))
 
     def mirrored(self, sum_rad: float, share: float) -> Reference:
-        """Return this motion as an antagonist counts it, `sum_rad` less the angle, with `share` of the force."""
+        """Return this motion as an antagonist counts it, `sum_rad` less the angle, with `share` of the force.
+
+        The subtraction is that of the running cycle, which counts the joint's angle so, to the last bit.
+        """
         made = object.__new__(Reference)
         made.period_s, made._rate, made.peak_n = self.period_s, self._rate, share * self.peak_n
-        made._angle = tuple((sum_rad - a, -b, -c, -d) for a, b, c, d in self._angle)
+        made._angle, made._sum_rad = self._angle, sum_rad
         made._force = tuple((share * a, share * b, share * c, share * d) for a, b, c, d in self._force)
         made.departs_from_eq1_rad = self.departs_from_eq1_rad
         return made
@@ -61,12 +65,14 @@ class Reference:
     def knee_angle(self, phase: float) -> float:
         """Return the knee angle, rad, at `phase` (cycles)."""
         a, b, c, d, u = self._cell(self._angle, phase)
-        return a + u * (b + u * (c + u * d))
+        angle = a + u * (b + u * (c + u * d))
+        return angle if self._sum_rad is None else self._sum_rad - angle
 
     def knee_velocity(self, phase: float) -> float:
         """Return the knee velocity, rad/s, at `phase` (cycles)."""
         _, b, c, d, u = self._cell(self._angle, phase)
-        return (b + u * (2.0 * c + u * 3.0 * d)) * self._rate
+        speed = (b + u * (2.0 * c + u * 3.0 * d)) * self._rate
+        return speed if self._sum_rad is None else -speed
 
     def desired_force(self, phase: float) -> float:
         """Return the desired END force, N, at `phase` (cycles)."""
@@ -74,19 +80,10 @@ class Reference:
         return a + u * (b + u * (c + u * d))
 
     def at(self, phase: float) -> Desired:
-        """Return motion and force at `phase` (cycles), in one look-up."""
-        x = (phase - math.floor(phase)) * CYCLE_POINTS
-        i = int(x)
-        u = x - i
-        a, b, c, d = self._angle[i]
-        p, q, r, s = self._force[i]
-        rate = self._rate
-        return Desired(
-            a + u * (b + u * (c + u * d)),
-            (b + u * (2.0 * c + u * 3.0 * d)) * rate,
-            p + u * (q + u * (r + u * s)),
-            (q + u * (2.0 * r + u * 3.0 * s)) * rate,
-        )
+        """Return motion and force at `phase` (cycles)."""
+        p, q, r, s, u = self._cell(self._force, phase)
+        return Desired(self.knee_angle(phase), self.knee_velocity(phase), p + u * (q + u * (r + u * s)),
+                       (q + u * (2.0 * r + u * 3.0 * s)) * self._rate)
 
     @staticmethod
     def _cell(

@@ -161,6 +161,11 @@ def joined(rows: Sequence[CycleRow], observed: Sequence[float], own: Sequence[Se
     return (*common, *observed, *each)
 
 
+def of_paths(paths: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Return the names of signals in a row of each path; the path "" of a bench of a single one has no prefix."""
+    return [f"{path}.{name}" if path else name for path in paths for name in names]
+
+
 def of_path(name: str, path: str) -> str | None:
     """Return the name that a column of several paths has in the table of one of them; None for another path's."""
     prefix, dot, rest = name.partition(".")

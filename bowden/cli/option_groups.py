@@ -82,7 +82,7 @@ class WatchOptions(NamedTuple):
     healthy: options.Healthy = None
     stop_on: options.StopOn = None
 
-    def bench(self, logbook: Path | None, network: Any) -> WatchedBench | None:
+    def bench(self, logbook: Path | None) -> WatchedBench | None:
         """Return the bench that is watched, None where nothing is; reference trials of `logbook` where none is named.
 
         Raises `InputError` for what contradicts itself.
@@ -92,8 +92,6 @@ class WatchOptions(NamedTuple):
                 if value:
                     raise InputError(f"{name} belongs to --watch; add --watch, or leave {name} out.")
             return None
-        if len(network.bench.force_paths) > 1:
-            raise InputError("--watch: the bench has several force paths; a watch simulates one: leave it out.")
         return watched_bench(self.healthy, logbook, self.stop_on)
 
 

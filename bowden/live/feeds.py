@@ -16,7 +16,7 @@ from bowden.live.state import FORCES, LiveState
 from eds.bench.bench_network import Network, wire
 from trial.follow import Follower
 from trial.mcap_file import cdr
-from trial.signals import INDEX
+from trial.signals import of_bench, of_paths
 
 OTHER_PROCESS: Final = ("This process only listens to the bus. To stop: press Ctrl-C where the trial runs, the button "
                         "of its own page (bowden trial --web), or the emergency stop.")
@@ -34,23 +34,28 @@ class TrialRecorder(Protocol):
 
 def setup(name: str, network: Network) -> PageSetup:
     """Return the settings for the page of a bench with this network."""
-    return PageSetup(name, network.bitrate, tuple(wire(network).nodes), network.heartbeat_timeout_ms * 1e-3)
+    return PageSetup(name, network.bitrate, tuple(wire(network).nodes), network.heartbeat_timeout_ms * 1e-3,
+                     network.bench.path_prefixes)
 
 
-def state(name: str, kind: str, network: Network, *, decode_events: bool = False) -> LiveState:
-    """Return the state of a page for a bench with this network, by this process's clock."""
-    return LiveState(name, kind, time.monotonic, *setup(name, network)[1:], decode_events=decode_events)
+def state(name: str, kind: str, network: Network, paths: Sequence[str] | None = None, *, decode_events: bool = False
+          ) -> LiveState:
+    """Return the state of a page for a bench with this network, by this process's clock; `paths`: of a recorded trial.
+    """
+    made = setup(name, network)
+    made = made if paths is None else made._replace(paths=tuple(paths))
+    return LiveState(name, kind, time.monotonic, *made[1:], decode_events=decode_events)
 
 
 class TrialFeed:
     """Stream of a trial to its live page."""
 
-    def __init__(self, page: PageProcess) -> None:
-        self._page = page
+    def __init__(self, page: PageProcess, places: Sequence[int]) -> None:
+        self._page, self._places = page, places
 
     def beside(self, recording: Any) -> Any:
         """Return a recorder that also feeds the page."""
-        return _Beside(recording, self._page)
+        return _Beside(recording, self._page, self._places)
 
     def suspected(self, sentence: str) -> None:
         """Show the present suspicion of the diagnosis during the trial."""
@@ -64,12 +69,12 @@ class TrialFeed:
 class _Beside:
     """A trial's recorder with the page beside it: frames, rows and events go to both, the recorder first.
 
-    A stop that the page has asked for is recorded as an event, from the trial's own thread.
+    A stop that the page has asked for is recorded as an event, from the trial's own thread. `places`: of the forces in
+    a row.
     """
 
-    def __init__(self, recording: TrialRecorder, page: PageProcess) -> None:
-        self._record, self._page, self._told_stop = recording, page, False
-        self._places = tuple(INDEX[name] for name in FORCES)
+    def __init__(self, recording: TrialRecorder, page: PageProcess, places: Sequence[int]) -> None:
+        self._record, self._page, self._places, self._told_stop = recording, page, places, False
 
     def frame(self, time_ns: int, can_id: int, data: bytes, flags: int = 0, channel: int = 0, sent: bool = False
               ) -> None:
@@ -82,8 +87,7 @@ class _Beside:
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None:
         self._record.cycle(time_ns, values)
-        desired, start, end = self._places
-        self._page.force(time_ns, values[desired], values[start], values[end])
+        self._page.force(time_ns, *[values[place] for place in self._places])
         if self._page.stop_asked and not self._told_stop:
             self._told_stop = True
             self.event(time_ns, "stop", "master", "safe stop requested by the live page's button.")
@@ -104,7 +108,7 @@ def of_trial(where: str, name: str, network: Network, say: Callable[[str], None]
     with stop_request.armed() as stop:
         page = PageProcess(setup(name, network), where, stop)
         say(page.url)
-        feed = TrialFeed(page)
+        feed = TrialFeed(page, places(network, FORCES))
         try:
             yield feed
         except BaseException as error:
@@ -114,13 +118,20 @@ def of_trial(where: str, name: str, network: Network, say: Callable[[str], None]
             page.close()
 
 
+def places(network: Network, names: Sequence[str]) -> list[int]:
+    """Return the places of `names`, of each force path of a bench, in a row of its trial."""
+    row = [signal.name for signal in of_bench(network.bench)]
+    return [row.index(name) for name in of_paths(network.bench.path_prefixes, names)]
+
+
 class BusFeed:
     """Feed of a running bus, which is only listened to: each frame, and the forces of each cycle."""
 
     def __init__(self, network: Network, shown: LiveState) -> None:
         follower = Follower(wire(network))
         self._follow, self._shown = follower.frame, shown
-        self._places = [follower.names.index(name) for name in ("tension_start_n", "tension_end_n")]
+        self._places = [follower.names.index(name)
+                        for name in of_paths(shown.paths, ("tension_start_n", "tension_end_n"))]
 
     def take(self, message: Any) -> None:
         """Take one message as `can.BusABC.recv` gives it; CAN FD frames are no bench's and are left out."""
@@ -134,4 +145,5 @@ class BusFeed:
         ended = None if flags else self._follow(time_ns, message.arbitration_id, data)
         if ended is not None:  # no PDO carries the desired force
             at, values = ended
-            self._shown.force(at, math.nan, *(values[place] for place in self._places))
+            forces = (values[place] for place in self._places)
+            self._shown.force(at, *(force for start in forces for force in (math.nan, start, next(forces))))

@@ -26,10 +26,8 @@ from trial.mcap_file.cdr import FRAME_STRUCT
 BLOCK: Final = struct.Struct("<cI")
 """Header of a block: its kind and length."""
 FRAMES, FORCES, EVENT, STATUS, SUSPICION = b"F", b"R", b"E", b"S", b"D"
-"""Kinds of block: rows of `FRAME_ROW`, rows of `FORCE`, and JSON lists of the arguments of `event`, `status` and
-`suspected`."""
-FORCE: Final = struct.Struct("<q3d")
-"""Layout of a row of forces: time, ns, then desired, START and END force, N."""
+"""Kinds of block: rows of `FRAME_ROW`, rows of `PageSetup.forces`, and JSON lists of the arguments of `event`,
+`status` and `suspected`."""
 SEND_NS: Final = 20_000_000
 """Bus time between two transmissions to the page. Shorter: more system calls in the control thread. Longer: the page
 lags.
@@ -49,6 +47,12 @@ class PageSetup(NamedTuple):
     bitrate: int
     nodes: tuple[int, ...]
     silent_s: float
+    paths: tuple[str, ...] = ("",)
+
+    @property
+    def forces(self) -> struct.Struct:
+        """Layout of a row of forces: time, ns, then desired, START and END force, N, of each force path."""
+        return struct.Struct(f"<q{3 * len(self.paths)}d")
 
 
 class PageProcess:
@@ -61,6 +65,7 @@ class PageProcess:
     def __init__(self, setup: PageSetup, where: str, stop: Callable[[], None]) -> None:
         self.stop_asked = False
         self._stop, self._sent_ns, self._gone = stop, 0, False
+        self._row = setup.forces
         self._frames, self._forces, self._waiting = bytearray(), bytearray(), bytearray()
         self._to_page, their_page = socket.socketpair()
         self._answers, their_answers = socket.socketpair()
@@ -95,9 +100,9 @@ class PageProcess:
         """Add frames: bytes of `cdr.FRAME_ROW`s."""
         self._frames += rows
 
-    def force(self, time_ns: int, desired_n: float, start_n: float, end_n: float) -> None:
-        """Add the forces of one control cycle, N; NaN where unknown."""
-        self._forces += FORCE.pack(time_ns, desired_n, start_n, end_n)
+    def force(self, time_ns: int, *forces_n: float) -> None:
+        """Add desired, START and END force, N, of each force path in one control cycle; NaN where unknown."""
+        self._forces += self._row.pack(time_ns, *forces_n)
         self._send_due(time_ns)
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
@@ -164,7 +169,7 @@ def serve(told: socket.socket, answers: socket.socket, setup: PageSetup, where: 
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     if hasattr(os, "nice"):
         os.nice(NICENESS)
-    state = LiveState(setup.name, "trial", time.monotonic, setup.bitrate, setup.nodes, setup.silent_s)
+    state = LiveState(setup.name, "trial", time.monotonic, *setup[1:])
     try:
         page = LivePage(state, where, lambda: answers.sendall(b"stop\n"))
     except InputError as error:
@@ -173,7 +178,7 @@ def serve(told: socket.socket, answers: socket.socket, setup: PageSetup, where: 
     answers.sendall(json.dumps({"url": page.url}).encode() + b"\n")
     with contextlib.suppress(OSError):
         for kind, payload in blocks(told):
-            take(state, kind, payload)
+            take(state, kind, payload, setup.forces)
     page.close()
 
 
@@ -185,12 +190,12 @@ def blocks(told: socket.socket) -> Iterator[tuple[bytes, bytes]]:
         yield kind, stream.read(length)
 
 
-def take(state: LiveState, kind: bytes, payload: bytes) -> None:
-    """Add a block to the state of the page."""
+def take(state: LiveState, kind: bytes, payload: bytes, forces: struct.Struct) -> None:
+    """Add a block to the state of the page; `forces`: layout of a row of forces."""
     if kind == FRAMES:
         state.frames(payload)
     elif kind == FORCES:
-        for row in FORCE.iter_unpack(payload):
+        for row in forces.iter_unpack(payload):
             state.force(*row)
     elif kind == EVENT:
         state.event(*json.loads(payload))

@@ -33,24 +33,27 @@ QUEUE: Final = 1 << 16
 HEARTBEATS: Final = np.arange(0x701, 0x780)
 NMT_STATES: Final[Mapping[int, str]] = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 
-Force = tuple[int, float, float, float]
-"""Time (ns), desired, START and END force (N); NaN for an unknown value."""
+Force = tuple[int, tuple[float, ...]]
+"""Time (ns), then desired, START and END force (N) of each force path; NaN for an unknown value."""
 
 
 class LiveState:
     """The state of one page; `clock` gives seconds that only rise, `bitrate` is in bit/s.
 
-    `nodes` are the expected node-IDs; `silent_s` is the age from which a heartbeat counts as lost. `kind`: trial
+    `nodes` are the expected node-IDs; `silent_s` is the age from which a heartbeat counts as lost; `paths` names the
+    force paths of a bench of several. `kind`: trial
     (runs in this process), bus (only listened to) or recorded. `decode_events`: NMT, EMCY and boot-up frames are
     decoded into events; False if the source sends events itself.
     """
 
     def __init__(
-        self, name: str, kind: str, clock: Callable[[], float], bitrate: int, nodes: Sequence[int], silent_s: float, *,
-        decode_events: bool = False,
+        self, name: str, kind: str, clock: Callable[[], float], bitrate: int, nodes: Sequence[int], silent_s: float,
+        paths: Sequence[str] = ("",), *, decode_events: bool = False,
     ) -> None:
         self.changed = threading.Condition()
-        self._about = {"name": name, "kind": kind, "silent_s": silent_s, "window_s": WINDOW_S}
+        self._about = {"name": name, "kind": kind, "silent_s": silent_s, "window_s": WINDOW_S,
+                       "paths": list(paths)}
+        self.paths = tuple(paths)
         self._clock, self._bitrate, self._decode_events = clock, bitrate, decode_events
         self._incoming: deque[tuple[int, int, int, int, int, bool, bytes]] = deque(maxlen=QUEUE)
         self._blocks: deque[bytes] = deque(maxlen=QUEUE)
@@ -82,10 +85,10 @@ class LiveState:
         self._heard_at = self._clock()
         self._blocks.append(rows)
 
-    def force(self, time_ns: int, desired_n: float, start_n: float, end_n: float) -> None:
-        """Add the forces of one control cycle, NaN for unknown ones; callable from any thread."""
+    def force(self, time_ns: int, *forces_n: float) -> None:
+        """Add desired, START and END force of each path in one control cycle, NaN for unknown ones; from any thread."""
         self._heard_at = self._clock()
-        self._forces.append((time_ns, desired_n, start_n, end_n))
+        self._forces.append((time_ns, forces_n))
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
         """Add an event, as one sentence; callable from any thread."""
@@ -123,7 +126,8 @@ class LiveState:
             if blocks:
                 self._frames(np.frombuffer(b"".join(blocks), cdr.FRAME_ROW))
             for _ in range(len(self._forces)):
-                self._row(*self._forces.popleft())
+                time_ns, forces = self._forces.popleft()
+                self._row(time_ns, *forces)
             for _ in range(len(self._new_events)):
                 self._happened(*self._new_events.popleft())
             if self._status == "waiting" and self._heard_at is not None:

@@ -14,6 +14,7 @@ import numpy as np
 from bowden.live.state import FORCES, ROW_NS, WINDOW_S, LiveState
 from trial.playback import Playback, PlayerControl, PlayerStatus, ready
 from trial.read import Trial
+from trial.signals import of_paths
 
 STATUS: Final = {PlayerStatus.READY: "waiting", PlayerStatus.PLAYING: "running", PlayerStatus.PAUSED: "paused",
                  PlayerStatus.ENDED: "ended"}
@@ -28,7 +29,7 @@ class TrialPlayer:
         self._frames = recorded.frames[np.argsort(recorded.frames["time_ns"], kind="stable")]
         self._events = sorted(recorded.events, key=lambda event: event.time_ns)
         missing = np.full(len(recorded.time_ns), np.nan)
-        self._forces = np.column_stack([recorded.columns.get(name, missing) for name in FORCES])
+        self._forces = np.column_stack([recorded.columns.get(name, missing) for name in of_paths(shown.paths, FORCES)])
         self._times = (recorded.time_ns, np.ascontiguousarray(self._frames["time_ns"]),
                        np.array([event.time_ns for event in self._events], np.int64))
         ends = [int(times[place]) for times in self._times if len(times) for place in (0, -1)]

@@ -58,19 +58,24 @@ def of_logbook(folder: Path) -> ExperimentPlan:
     """Plan for the change that `bowden logbook show` states; without one for the newest trial that a diagnosis left
     ambiguous, with the experiments of its session."""
     from bowden.models import change_diagnosis, logbook_entries
+    from bowden.trials.force_paths import single_paths
     from logbook.database import open_logbook
 
     healthy, deviations = logbook_entries.reference_trials(folder)
     with open_logbook(folder) as book:
         change = change_diagnosis.change_trials(book)
         if change is not None:
-            return of_trials(change.trials, change.references, change.session_sd)
+            with single_paths(change.trials, book.path or None) as trials, single_paths(
+                    change.references, book.path or None) as references:
+                return of_trials(trials, references, change.session_sd)
         for entry in book.trials():
             told = book.verdicts(entry.id)
             if told and told[-1].get("verdict") == "ambiguous":
                 same = [t for t in book.trials(session=entry.session)
                         if t.there and (t.id == entry.id or t.experiment not in ("", "gait"))]
-                return of_trials([book.place(t.path) for t in same], healthy, deviations)
+                with single_paths([book.place(t.path) for t in same], book.path or None) as trials, single_paths(
+                        healthy, book.path or None) as references:
+                    return of_trials(trials, references, deviations)
     raise InputError(f"{folder}: states no change, and no verdict of it is ambiguous; bowden diagnose TRIAL "
                      f"--logbook {folder} enters verdicts.")
 

@@ -57,8 +57,7 @@ def perform(
 
     network = sections["network"]
     if what == "gait" and not (gait and identify.with_gait(what, network)):
-        raise InputError("identify gait: needs one force path with END, a knee drive and no --no-gait; give identify "
-                         "all instead.")
+        raise InputError("identify gait: needs END, a knee drive and no --no-gait; give identify all instead.")
     paths = [path.name for path in network.bench.force_paths] if force_paths.several(network.bench) else [""]
     guesses = {path: _calibration(force_paths.file_of(guess, path) if path and isinstance(guess, Path) else guess)
                or nominal() for path in paths}
@@ -89,9 +88,12 @@ def perform(
                     bench=force_paths.bench_of(chosen.bench, each.path) if each.path else chosen.bench,
                     date=date, trial=recording.name)) for each in found]
             if gait and identify.with_gait(what, network):
+                named = [each.path or network.bench.force_paths[0].name for each in found]
                 with progress.running("gait trials") as update:
-                    found = [_walked(identify.walk(link, bus.tap, recorder, wanted, each.calibration or nominal(),
-                                                   lambda _part, share: update(share)), each) for each in found]
+                    reason, gaits = identify.walk(link, bus.tap, recorder, wanted, {
+                        name: each.calibration or nominal() for name, each in zip(named, found, strict=True)},
+                        lambda _part, share: update(share))
+                    found = [_walked(reason, gaits[name], each) for name, each in zip(named, found, strict=True)]
         try:
             recorder.close(dataclasses.asdict(dataclasses.replace(outcome, reason=found[0].reason)))
         except RecordingError as error:
@@ -102,11 +104,10 @@ def perform(
     return found
 
 
-def _walked(walked: tuple[str | None, list[Segment]], found: Identified) -> Identified:
-    """Return an identification with the discrepancy fitted to its gait trials."""
+def _walked(reason: str | None, gaits: Sequence[Segment], found: Identified) -> Identified:
+    """Return an identification with the discrepancy fitted to its gait trials; `reason`: why these stopped."""
     from master.identification import identify
 
-    reason, gaits = walked
     segments = [*found.segments, *gaits]
     known = None if found.calibration is None else identify.with_discrepancy(found.calibration, segments)
     return found._replace(reason=reason, calibration=known, segments=segments)

@@ -14,6 +14,7 @@ from logbook.database import UNFITTED, Logbook, NewTrial, TrialEntry, open_logbo
 from parameters import InputError
 from physics.path_constants import FREE, TABLE
 from trial import read
+from trial.paths import names, one_path
 
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
@@ -36,7 +37,7 @@ def add(folder: Path, path: Path, session: str | None = None, figures: Mapping[s
     entered again.
     """
     with open_logbook(folder) as book:
-        described = _described(path, figures)
+        described = _described(path, figures, book.path)
         known = {entry.id: entry.label for entry in book.sessions()}.get(book.session_of(described.digest) or 0)
         label = known or _label(path, session, described)
         number, _ = book.enter_trial(described, label, _place(label, path, described))
@@ -84,6 +85,12 @@ def reference_trials(folder: Path) -> tuple[list[Path], dict[str, float] | None]
     return found, deviations
 
 
+def path_of(folder: Path) -> str | None:
+    """Return the force path that a logbook follows, of a bench of several; None of a bench of a single one."""
+    with open_logbook(folder) as book:
+        return book.path or None
+
+
 def deviations(folder: Path) -> dict[str, float] | None:
     """Return 1σ of each constant between sessions, in coordinates; None before two reference sessions."""
     from logbook.bench_state import measured_deviations
@@ -104,13 +111,13 @@ def against_history(folder: Path, path: Path) -> dict[str, Any]:
     from estimation.linear_sums import session_sums
 
     with open_logbook(folder) as book:
-        described = _described(path, None)
+        described = _described(path, None, book.path)
         followed = sequence_of(book, without=book.session_of(described.digest))
         if followed is None or followed[1].count < 2:
             raise InputError(f"{folder}: has fewer than two other fitted sessions; bowden logbook add enters trials.")
         sequence = followed[1]
         with threadpool_limits(1, user_api="blas"):
-            own = session_sums(sequence.fit, sequence.columns, [_recording_of(path, described.outcome)])
+            own = session_sums(sequence.fit, sequence.columns, [_recording_of(path, described.outcome, book.path)])
             departure, scatters, probability = sequence.departure(own, sequence.search()[1])
         return {"trial": str(path), "logbook": str(folder), "sessions": sequence.count, "probability": probability,
                 "constants": {name: {"departure": float(departure[k]), "scatters": float(scatters[k]),
@@ -169,7 +176,7 @@ def _make_reference(book: Logbook, wanted: tuple[int, ...], after: int | None) -
     for number in wanted:
         entry = book.trials(1, trial=number)[0]
         try:
-            recordings.append(_recording_of(book.place(entry.path), entry.outcome))
+            recordings.append(_recording_of(book.place(entry.path), entry.outcome, book.path))
             _refuse_other_outputs(recordings[-1], recordings[0].outputs)
         except InputError as error:
             book.enter_remark(number, str(error))
@@ -189,7 +196,7 @@ def _fit(book: Logbook, key: int, fit: ReferenceFit, waiting: list[int]) -> None
     for number in waiting:
         entry = book.trials(1, trial=number)[0]
         try:
-            recording = _recording_of(book.place(entry.path), entry.outcome)
+            recording = _recording_of(book.place(entry.path), entry.outcome, book.path)
             _refuse_other_outputs(recording, fit.outputs)
         except InputError as error:
             book.enter_remark(number, str(error))
@@ -218,8 +225,8 @@ def _refuse_other_outputs(recording: Recording, outputs: tuple[str, ...]) -> Non
                          f"sessions have {', '.join(outputs)}; enter it in a logbook of its own.")
 
 
-def _recording_of(path: Path, outcome: str | None) -> Recording:
-    """Read the inputs of the likelihood; raises `InputError` if one is missing."""
+def _recording_of(path: Path, outcome: str | None, force_path: str) -> Recording:
+    """Read the inputs of the likelihood, of the force path of a trial of several; raises `InputError` if one lacks."""
     from estimation.data import integrity, scales, table
     from estimation.path_model import PATH_MODEL
 
@@ -227,7 +234,7 @@ def _recording_of(path: Path, outcome: str | None) -> Recording:
         raise InputError(f"{path}: the trial is {outcome}; only completed trials are fitted.")
     if not path.exists():
         raise InputError(f"{path}: no such file; put it back, or add it again from where it is now.")
-    given = table.read(path)
+    given = table.read(path, force_path or None)
     refused = [f.text for f in (*integrity.examine(given), *scales.contradictions(given)) if f.refuses]
     if refused:
         raise InputError(f"{path}: {refused[0]}")
@@ -238,8 +245,11 @@ def _recording_of(path: Path, outcome: str | None) -> Recording:
     return PATH_MODEL.record(plain)
 
 
-def _described(path: Path, figures: Mapping[str, Any] | None) -> NewTrial:
-    """Return a file as the logbook keeps it; raises `InputError` for one that is neither a trial nor a table."""
+def _described(path: Path, figures: Mapping[str, Any] | None, force_path: str) -> NewTrial:
+    """Return a file as the logbook keeps it; raises `InputError` for one that is neither a trial nor a table.
+
+    `force_path`: the one of a trial of several whose figures are kept.
+    """
     from estimation.data import table
 
     try:
@@ -247,9 +257,11 @@ def _described(path: Path, figures: Mapping[str, Any] | None) -> NewTrial:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a trial or a table.") from None
     if path.suffix.lower() != ".mcap":
-        given = table.read(path)
+        given = table.read(path, force_path or None)
         return NewTrial(path, digest, "table", None, float(given["time_s"][-1] - given["time_s"][0]), {}, {}, "")
     recorded = read.open(path)
+    if force_path and names(recorded):
+        recorded, figures = one_path(recorded, force_path), (figures or {}).get("paths", {}).get(force_path)
     told = dict(recorded.metadata)
     result = recorded.result or {}
     outcome = None if "imported_from" in told else str(result.get("outcome", "not closed"))

@@ -180,9 +180,11 @@ def true_end(truth: Path, recorded: read.Trial, prefix: str = "") -> Floats:
     return TrueEnd(open_truth(truth), prefix).at(recorded.time_ns)
 
 
-def picture(output: Path, path: Path, experiment: ExperimentSetup) -> None:
-    """Draw the trial."""
+def picture(output: Path, path: Path, experiment: ExperimentSetup,
+            paths: Mapping[str, ExperimentSetup] = MappingProxyType({})) -> None:
+    """Draw the trial; `paths`: as in `figures`."""
     from bowden.pages.picture import draw
 
-    gait = experiment.gait
-    draw(read.open(output).columns, f"{gait.peak_n:g} N, {gait.period_s:g} s, controller {gait.controller}", path)
+    gait, recorded = experiment.gait, read.open(output)
+    title = f"{gait.peak_n:g} N, {gait.period_s:g} s, controller {gait.controller}"
+    draw({f"{name}: {title}": one_path(recorded, name).columns for name in paths} or {title: recorded.columns}, path)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from parameters import InputError
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Columns = Mapping[str, NDArray[np.float64]]
@@ -47,14 +48,24 @@ def signals(columns: Columns, units: Mapping[str, str], names: Sequence[str], ti
     return figure
 
 
-def draw(columns: Columns, title: str, path: Path) -> None:
-    """Write a PNG, SVG or PDF (by suffix) from the `/cycle` columns of one trial; forces in N, time in s."""
+def draw(force_paths: Mapping[str, Columns], path: Path) -> None:
+    """Write a PNG, SVG or PDF (by suffix) from the `/cycle` columns of each force path of a trial, by title.
+
+    Forces in N, time in s.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10, 6.2), layout="constrained")
+    figure = Figure(figsize=(10 * len(force_paths), 6.2), layout="constrained")
     FigureCanvasAgg(figure)
-    over_time, over_phase = figure.subplots(2, 1)
+    axes = figure.subplots(2, len(force_paths), squeeze=False)
+    for (title, columns), (over_time, over_phase) in zip(force_paths.items(), axes.T, strict=True):
+        _draw_path(over_time, over_phase, columns, title)
+    figure.savefig(path, dpi=120)
+
+
+def _draw_path(over_time: Axes, over_phase: Axes, columns: Columns, title: str) -> None:
+    """Draw the forces of one force path over time, and its cycles over each other."""
     cycles = columns["cycle"]
     for name, label, colour, style in TRACES:
         over_time.plot(columns["time_s"], columns[name], style, color=colour, lw=1.0, label=label)
@@ -66,4 +77,3 @@ def draw(columns: Columns, title: str, path: Path) -> None:
     over_time.legend(loc="upper right", ncols=3)
     for axes in (over_time, over_phase):
         axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=120)

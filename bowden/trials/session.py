@@ -79,7 +79,7 @@ class Prepared:
         if self.paths:
             from master.motion.paths_run import PlannedPaths
 
-            return PlannedPaths(self.paths, self.experiment)
+            return PlannedPaths(self.paths, self.experiment, self.script)
         return Scripted(self.experiment, self.script) if self.script else Planned(self.experiment)
 
 
@@ -209,8 +209,6 @@ def _several_paths(
     from physics.bench_model import nominal
     from physics.calibration import refuse_beyond_validity
 
-    if script is not None:
-        raise InputError(f"--experiment {script}: runs on a bench of one force path; leave it out.")
     whole = ExperimentSetup(reference=reference, dry_run=dry_run, **sections)
     setups = {}
     for path in sections["network"].bench.force_paths:
@@ -223,7 +221,7 @@ def _several_paths(
             whole, path, calibration=measured, **beyond(model, told))
         refuse_beyond_validity(measured, setups[path.name].reference.peak_n)
     kind = controller.find(sections["gait"].controller, where="--controller")
-    return Prepared(whole, sections, chosen, files, "",
+    return Prepared(whole, sections, chosen, files, script or "",
                     controller.signals(kind), setups)
 
 
@@ -269,9 +267,6 @@ def perform(
     from trial.record import Recorder
 
     network, simulated = prepared.experiment.network, prepared.chosen.simulated
-    if prepared.paths and (picture is not None or watch):
-        raise InputError("--picture, --web and --watch show one force path, and the declared bench has several; leave "
-                         "them out, and say bowden report or diagnose with --path.")
     truth = output.with_name(f"{output.stem}.truth.mcap") if simulated else None
     output_files.refuse([output, truth, picture], overwrite=overwrite)
     compile_laws(simulated=simulated, progress=progress)
@@ -316,7 +311,7 @@ def perform(
     figures = report.figures(prepared.experiment, result, output, truth, wall_s, serial=prepared.chosen.serial,
                              simulated=simulated, kept=kept, progress=progress, paths=prepared.paths)
     if picture is not None and kept:
-        report.picture(output, picture, prepared.experiment)
+        report.picture(output, picture, prepared.experiment, prepared.paths)
     return figures
 
 

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from bowden.trials.force_paths import single_paths
 from bowden.watch.gait_windows import GaitWindow, GaitWindows
 from diagnosis.evidence.decision import SET_SHARE, threshold
 from diagnosis.finder import Finder
@@ -26,6 +27,7 @@ from estimation.running_evidence import Naming, RunningEvidence, WatchVerdict
 from parameters import InputError
 from physics.effects.hypotheses import HYPOTHESES
 from trial.growing import GrowingTrial
+from trial.signals import of_path
 
 ANY: Final = "any"
 """Word for every effect in --stop-on."""
@@ -39,11 +41,15 @@ DRIFT_S: Final = 20.0
 
 @dataclass(frozen=True)
 class WatchedBench:
-    """The bench that is watched: reference trials, 1σ between sessions (None: the published one), stops asked for."""
+    """The bench that is watched: reference trials, 1σ between sessions (None: the published one), stops asked for.
+
+    `path`: the force path that is watched, of a bench of several; None of a bench of a single one.
+    """
 
     healthy: tuple[Path, ...]
     session_sd: dict[str, float] | None = None
     stop_on: tuple[str, ...] = ()
+    path: str | None = None
 
 
 def refuse_stop_on(names: Sequence[str], where: str) -> None:
@@ -62,7 +68,7 @@ class FileWatch:
 
     def __init__(self, path: Path, bench: WatchedBench, *, replaced: bool = False) -> None:
         self._bench, self._file = bench, GrowingTrial(path, replaced=replaced)
-        self._tables = [_usable(path) for path in bench.healthy]
+        self._tables = [_usable(path, bench.path) for path in bench.healthy]
         self._windows: GaitWindows | None = None
         self._evidence: dict[tuple[str, ...], RunningEvidence] = {}
         self._of(tuple(n for n in SIGNALS if all(n in t for t in self._tables)))
@@ -79,7 +85,9 @@ class FileWatch:
         """
         rows = self._file.rows()
         if self._windows is None and self._file.columns:
-            self._windows = GaitWindows(self._file.columns, _period_s(self._tables))
+            own = [name if self._bench.path is None else of_path(name, self._bench.path) or ""
+                   for name in self._file.columns]
+            self._windows = GaitWindows(own, _period_s(self._tables))
         if self._windows is None:
             return
         with threadpool_limits(1, user_api="blas"):
@@ -101,10 +109,15 @@ class FileWatch:
         named = ANY in asked or any(name in asked for name in found.suspected)
         return bool(found.suspected) and named and found.cost_percent >= STOP_PERCENT
 
+    def told(self, found: WatchVerdict) -> str:
+        """Return a suspicion as one line for a terminal, with the force path of a bench of several."""
+        return (f"{self._bench.path}, " if self._bench.path else "") + told(found)
+
     def diagnosis(self) -> Findings:
         """Return the diagnosis of the whole file, as `bowden diagnose` gives it."""
-        finder = Finder(session_sd=self._bench.session_sd).examine(list(self._bench.healthy))
-        return finder.diagnose([self._file.path])
+        path = self._bench.path
+        with single_paths(self._bench.healthy, path) as references, single_paths([self._file.path], path) as watched:
+            return Finder(session_sd=self._bench.session_sd).examine(references).diagnose(watched)
 
     def _of(self, outputs: tuple[str, ...]) -> RunningEvidence:
         """Return the running evidence from these outputs; other outputs need another fit of the reference trials."""
@@ -134,8 +147,8 @@ def as_json(found: Findings) -> dict[str, Any]:
     return {name: whole[name] for name in ("verdict", "causes", "class", "experiment", "warnings")}
 
 
-def _usable(path: Path) -> Table:
-    given = table.read(path)
+def _usable(path: Path, force_path: str | None) -> Table:
+    given = table.read(path, force_path)
     refused = [f.text for f in (*integrity.examine(given), *scales.contradictions(given)) if f.refuses]
     if refused:
         raise InputError(f"{path}: {refused[0]}")

@@ -20,9 +20,7 @@ from bowden.watch import file_watch
 from bowden.watch.file_watch import FileWatch, WatchedBench
 from master.cycle import stop_request
 from parameters import InputError
-from trial.signals import INDEX
 
-CYCLE: Final = INDEX["cycle"]
 HEAR_ROWS: Final = 100
 """Rows between two looks for a word of the watch: a tenth of a second at 1 kHz."""
 LOOK_S: Final = 0.1
@@ -53,8 +51,8 @@ def _follow(watch: FileWatch, words: Connection, shown: bool) -> None:
         asked = words.recv() if words.poll(LOOK_S) else None
         for found in watch.look(last=asked == END):
             if shown:
-                print(f"bowden: {file_watch.told(found)}", file=sys.stderr, flush=True)
-            words.send((CYCLE_DONE, found.as_json() | {"stop": watch.stops(found), "told": file_watch.told(found)}))
+                print(f"bowden: {watch.told(found)}", file=sys.stderr, flush=True)
+            words.send((CYCLE_DONE, found.as_json() | {"stop": watch.stops(found), "told": watch.told(found)}))
         if asked == STEP:
             words.send((STEP, None))
 
@@ -62,12 +60,12 @@ def _follow(watch: FileWatch, words: Connection, shown: bool) -> None:
 class TrialWatch:
     """The watch of a trial that this process runs: `beside` is its recorder; `cycles`: the suspicion after each.
 
-    `paced`: the trial waits for the watch at each gait cycle. `stop` requests the safe stop; `show`, if set, receives
-    each suspicion as a sentence.
+    `paced`: the trial waits for the watch at each gait cycle, whose number is at `place` in a row. `stop` requests the
+    safe stop; `show`, if set, receives each suspicion as a sentence.
     """
 
-    def __init__(self, words: Connection, paced: bool, stop: Callable[[], None]) -> None:
-        self._words, self.paced, self._stop = words, paced, stop
+    def __init__(self, words: Connection, paced: bool, stop: Callable[[], None], place: int) -> None:
+        self._words, self.paced, self._stop, self.place = words, paced, stop, place
         self.show: Callable[[str], None] | None = None
         self.cycles: list[dict[str, Any]] = []
         self.diagnosis: dict[str, Any] | None = None
@@ -135,9 +133,9 @@ class _HearingRecorder:
         self._record(time_ns, values)
         watch = self._watch
         if watch.paced:
-            if values[CYCLE] <= self._number:
+            if values[watch.place] <= self._number:
                 return
-            self._number = values[CYCLE]
+            self._number = values[watch.place]
             watch.say(STEP)
             watch.hear(STEP)
         else:
@@ -151,10 +149,11 @@ class _HearingRecorder:
 
 
 @contextmanager
-def beside(path: Path, bench: WatchedBench, *, paced: bool, shown: bool) -> Iterator[TrialWatch]:
+def beside(path: Path, bench: WatchedBench, place: int = 0, *, paced: bool, shown: bool) -> Iterator[TrialWatch]:
     """Start the watch of the file `path` and wait until it has fitted the reference trials; end it at the end.
 
-    `shown`: the watch prints a line a cycle on stderr.  Raises `InputError` where it cannot watch.
+    `place`: of the number of the gait cycle in a row; `shown`: the watch prints a line a cycle on stderr.  Raises
+    `InputError` where it cannot watch.
     """
     context = get_context("spawn")
     here, there = context.Pipe()
@@ -163,7 +162,7 @@ def beside(path: Path, bench: WatchedBench, *, paced: bool, shown: bool) -> Iter
     there.close()
     try:
         with stop_request.armed() as stop:
-            watch = TrialWatch(here, paced, stop)
+            watch = TrialWatch(here, paced, stop, place)
             watch.hear(READY)
             if watch.lost:
                 raise InputError(watch.lost)

@@ -51,8 +51,9 @@ class Exchange:
     zero; `rehomed` ends that.
     """
 
-    alone = True
-    """Whether no other force path is on the bus, so that the bus may run complete cycles by itself."""
+    alone, mirrors = True, False
+    """Whether no other force path is on the bus, so that the bus may run complete cycles by itself; and whether the
+    path counts the joint's angle mirrored."""
 
     def __init__(self, link: Link, wire: WireLayout, log: Log, guard: Guard, budget_ns: int) -> None:
         self.link, self.wire, self.log, self.guard = link, wire, log, guard

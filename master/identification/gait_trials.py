@@ -6,19 +6,27 @@ against END by motion and load is kept of them (`discrepancy_fit`), and no force
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any, Final
 
 import can
 
 from eds.bench.bench_network import Network
+from eds.declaration import EXTENDS, MIRROR_RAD
 from estimation.transfer.calibration_fit import Segment
 from master.control.gait_table import samples_of
+from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.log import CycleSink
+from master.cycle.run_safely import run_safely
+from master.cycle.shared_exchange import Running
 from master.motion import gait
 from master.motion.experiment_run import ExperimentSetup, Planned
+from master.motion.paths_run import rest
 from master.network.link import Link
+from master.own_limits import counted
 from master.settings import Gait, Homing, Limits
 from physics import inverse
 from physics.calibration import Calibration
@@ -34,11 +42,13 @@ Record = Callable[[Any, str, Callable[[], object]], Segment]
 
 
 class _Recorded(Planned):
-    """A gait trial whose gait is recorded as a segment, with what homing found of friction and stretch."""
+    """A gait trial of a force path whose gait is recorded as a segment, with what homing found of friction and stretch.
+    """
 
-    def __init__(self, experiment: ExperimentSetup, record: Record, segments: list[Segment]) -> None:
+    def __init__(self, experiment: ExperimentSetup, record: Record) -> None:
         super().__init__(experiment)
-        self._record, self._segments = record, segments
+        self._record = record
+        self.segments: list[Segment] = []
         self._found: tuple[float, ...] = ()
 
     def home(self, exchange: Exchange) -> None:
@@ -54,26 +64,50 @@ class _Recorded(Planned):
     def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
         """Run the gait and keep its columns."""
         walked = self._record(exchange, "gait", lambda: super(_Recorded, self).walk(exchange, before))
-        self._segments.append(walked._replace(homed=self._found))
+        self.segments.append(walked._replace(homed=self._found))
 
 
 def run(
     link: Link, tap: can.BusABC | None, recorder: CycleSink | None, network: Network, limits: Limits, homing: Homing,
-    calibration: Calibration, record: Record, top_start_n: float,
-) -> Iterator[tuple[str | None, list[Segment]]]:
-    """Run the trials by the `extended` controller on a calibration; yields after each why it stopped, and its segments.
+    calibrations: Mapping[str, Calibration], record: Record, top_share: float,
+) -> Iterator[tuple[str | None, dict[str, list[Segment]]]]:
+    """Run the trials by the `extended` controller, on each force path in turn, the others slack.
 
-    `top_start_n`: tension at START, N, that no trial is to need.
+    Yields after each trial why it stopped, and its segments by path.  `calibrations`: by path; `top_share`: share of
+    START's limit that no trial is to need.
     """
+    bench = network.bench
     for peak_n, period_s in GAITS:
-        reference = _reachable(calibration, peak_n, _slowed(period_s, limits), network.rate_hz, top_start_n)
-        segments: list[Segment] = []
-        planned = _Recorded(ExperimentSetup(
-            reference, network=network, limits=limits, homing=homing, calibration=calibration,
-            gait=Gait(peak_n=reference.peak_n, period_s=reference.period_s, cycles=CYCLES, controller="extended"),
-        ), record, segments)
-        result = planned.run(link, tap, recorder)
-        yield result.stop_reason, segments
+        planned = {}
+        for path in bench.force_paths:
+            own, calibration = counted(limits, bench, path), calibrations[path.name]
+            reference = _reachable(calibration, peak_n, _slowed(period_s, own), network.rate_hz,
+                                   top_share * own.start_n)
+            if path.acts == EXTENDS:
+                reference = reference.mirrored(MIRROR_RAD, 1.0)
+            planned[path.name] = _Recorded(ExperimentSetup(
+                reference, network=replace(network, bench=bench.path(path.name)), limits=own, homing=homing,
+                calibration=calibration, gait=Gait(peak_n=reference.peak_n, period_s=reference.period_s, cycles=CYCLES,
+                                                   controller="extended")), record)
+        outcome = run_safely(link, tap, recorder, network, limits, partial(_perform, tuple(planned.values())))
+        yield outcome.reason, {name: one.segments for name, one in planned.items()}
+
+
+def _perform(planned: Sequence[_Recorded], exchange: Running) -> None:
+    """Enable every drive, slacken every rope, and walk each force path in turn."""
+    paths = list(zip(planned, exchange.paths, strict=True))
+    drives.enable(exchange)
+    for _, path in paths if len(paths) > 1 else ():
+        rest(path, planned[0].homing)
+    for one, path in paths:
+        path.own = len(one.kind.columns)
+        one.warn(path)
+        one.home(path)
+        gait.approach(path, one.table, one.first, one.experiment.homing, one.calibration.rope_per_knee)
+        one.watch(path)
+        one.walk(path)
+        if len(paths) > 1:
+            rest(path, one.homing)
 
 
 def _slowed(period_s: float, limits: Limits) -> float:

@@ -124,6 +124,10 @@ def run(
             paths[name].perform(path)
             if several:
                 rest(path, identification.homing)
+        if with_gait(identification.what, identification.network):
+            for name, path in zip(names, exchange.paths, strict=True):
+                if not path.mirrors:
+                    swing_to(path, HANGING_RAD, paths[name].identification.guess, identification.homing)
 
     outcome = run_safely(link, tap, recorder, identification.network, identification.limits, perform)
     return outcome, {name: path.segments for name, path in paths.items()}
@@ -149,30 +153,30 @@ def _shared(progress: Progress, done: float, part: float, what: str, share: floa
 
 def walk(
     link: Link, tap: can.BusABC | None, recorder: CycleSink | None, identification: Identification,
-    calibration: Calibration, progress: Progress = lambda what, share: None,
-) -> tuple[str | None, list[Segment]]:
-    """Run the gait trials with the identified calibration; return the cause of a stop, if any, and their segments.
+    calibrations: Mapping[str, Calibration], progress: Progress = lambda what, share: None,
+) -> tuple[str | None, dict[str, list[Segment]]]:
+    """Run the gait trials with the identified calibrations; return the cause of a stop, if any, and their segments.
 
-    The controller has no discrepancy of an earlier identification: the new one replaces it, and is not added to it.
+    Both are by force path.  The controller has no discrepancy of an earlier identification: the new one replaces it,
+    and is not added to it.
     """
-    calibration = dataclasses.replace(calibration, discrepancy=None)
-    top_n = TOP_SHARE * identification.limits.start_n
-    segments: list[Segment] = []
+    known = {name: dataclasses.replace(one, discrepancy=None) for name, one in calibrations.items()}
+    segments: dict[str, list[Segment]] = {name: [] for name in known}
     trials = gait_trials.run(link, tap, recorder, identification.network, identification.limits,
-                             identification.homing, calibration, _recorded, top_n)
+                             identification.homing, known, _recorded, TOP_SHARE)
     for i, (reason, walked) in enumerate(trials, 1):
         if reason is not None:
             return reason, segments
-        segments += walked
+        for name, own in walked.items():
+            segments[name] += own
         progress("gait", i / len(gait_trials.GAITS))
     return None, segments
 
 
 def with_gait(what: str, network: Network) -> bool:
-    """Return whether a procedure ends with gait trials: they need one force path, its END sensor and its knee drive."""
+    """Return whether a procedure ends with gait trials: each force path needs its END sensor and its knee drive."""
     described = wire(network)
-    return (what in WALKED and len(described.paths) == 1 and described.path.end > 0
-            and described.path.knee in described.drives)
+    return what in WALKED and all(path.end > 0 and path.knee in described.drives for path in described.paths)
 
 
 def with_discrepancy(calibration: Calibration, segments: Sequence[Segment]) -> Calibration:
@@ -307,8 +311,6 @@ class _Experiments:
             self._progress(kind, i / len(kinds))
             self._steps[kind](exchange)
             self._slacken(exchange)
-        if with_gait(given.what, given.network):
-            swing_to(exchange, HANGING_RAD, given.guess, given.homing)
         self._progress("done", 1.0)
 
     def _record(self, exchange: Exchange, kind: str, motion: Callable[[], object]) -> None:

@@ -2,7 +2,7 @@
 
 The paths home one after the other, the others slack; then their gaits run together. A path with a separate joint runs
 half a gait cycle behind the path before it, as the legs of a walker do; an antagonist runs with the rope that flexes
-its joint.
+its joint. An experiment of the catalogue runs on one path after the other, the others slack.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from master.cycle.shared_exchange import Answer, Running, Work, together
 from master.motion import gait, moves
 from master.motion.experiment_run import ExperimentSetup, Planned, Result, result_of
 from master.motion.home import reached_n
+from master.motion.scripted_experiments import Scripted
 from master.network.link import Link
 from master.settings import Homing
-from parameters import InputError
 
 RESTING_M: Final = 0.015
 """Rope, m, that a resting path unwinds beyond slack, while the other path of its joint moves the joint. The lever of
@@ -49,14 +49,14 @@ def rest(exchange: Exchange, homing: Homing) -> None:
 class PlannedPaths:
     """An experiment of several paths with its tables made; `planned` has that of each path of the bench of `network`.
 
-    Raises `InputError` for a dry run, which shows nothing that one path's does not.
+    `script`: the experiment of the catalogue that each path runs in place of the gait; "" for the gait.
     """
 
-    def __init__(self, setups: Mapping[str, ExperimentSetup], whole: ExperimentSetup) -> None:
-        self.planned = {name: Planned(setup) for name, setup in setups.items()}
+    def __init__(self, setups: Mapping[str, ExperimentSetup], whole: ExperimentSetup, script: str = "") -> None:
+        self.scripts = {name: Scripted(setup, script) for name, setup in setups.items()} if script else {}
+        self.planned = {name: self.scripts[name].planned if script else Planned(setup)
+                        for name, setup in setups.items()}
         self.experiment, self._whole = next(iter(setups.values())), whole
-        if self.experiment.dry_run:
-            raise InputError("--dry-run: on a bench of several force paths nothing is run dry; leave it out.")
         bench = whole.network.bench
         leads: dict[str, Planned] = {}
         for path in bench.force_paths:
@@ -67,7 +67,7 @@ class PlannedPaths:
     @property
     def pulls(self) -> str:
         """Return a sentence with the largest forces of the experiment."""
-        return " ".join(f"{name}: {planned.pulls}" for name, planned in self.planned.items())
+        return " ".join(f"{name}: {planned.pulls}" for name, planned in (self.scripts or self.planned).items())
 
     @property
     def homing_n(self) -> float:
@@ -86,23 +86,37 @@ class PlannedPaths:
         return PathsResult(**whole, homed=found)
 
     def perform(self, exchange: Running) -> None:
-        """Enable every drive, home the paths one after the other, and walk them together."""
+        """Enable every drive, home the paths one after the other, and walk them together, or each by its script.
+
+        A dry run only walks, on drives that are off.
+        """
         paths = dict(zip(self.planned, exchange.paths, strict=True))
-        drives.enable(exchange)
         for name, path in paths.items():
             path.own = len(self.planned[name].kind.columns)
             self.planned[name].warn(path)
-            rest(path, self.planned[name].homing)
-        for name, path in paths.items():
-            self.planned[name].home(path)
-            rest(path, self.planned[name].homing)
-        for name, path in paths.items():
-            planned = self.planned[name]
-            gait.approach(path, planned.table, planned.first, planned.experiment.homing,
-                          planned.calibration.rope_per_knee)
+        if not self.experiment.dry_run:
+            self._prepare(exchange, paths)
+        if self.scripts:
+            return
         for name, path in paths.items():
             self.planned[name].watch(path)
         together(exchange, [self._steps(name, path) for name, path in paths.items()])
+
+    def _prepare(self, exchange: Running, paths: Mapping[str, Exchange]) -> None:
+        """Enable, slacken every rope, and home each path; scripts run after the homing of their path."""
+        drives.enable(exchange)
+        for name, path in paths.items():
+            rest(path, self.planned[name].homing)
+        for name, path in paths.items():
+            if self.scripts:
+                self.scripts[name].work(path)
+            else:
+                self.planned[name].home(path)
+            rest(path, self.planned[name].homing)
+        for name, path in paths.items() if not self.scripts else ():
+            planned = self.planned[name]
+            gait.approach(path, planned.table, planned.first, planned.experiment.homing,
+                          planned.calibration.rope_per_knee)
 
     def _steps(self, name: str, path: Exchange) -> Work[None]:
         """Yield the steps of one path, half a gait cycle behind those of the joint before it."""

@@ -76,9 +76,13 @@ class Scripted:
 
     def perform(self, exchange: Exchange) -> None:
         """Enable the drives, home, and run every part."""
+        drives.enable(exchange)
+        self.work(exchange)
+
+    def work(self, exchange: Exchange) -> None:
+        """Home, and run every part, on drives that are enabled."""
         planned = self.planned
         bench = MotionContext(planned.calibration, planned.homing)
-        drives.enable(exchange)
         planned.homed = home(exchange, planned.calibration, planned.homing, SLACK_M)
         for part in self.script:
             if isinstance(part, ScriptedWalk):

@@ -268,7 +268,7 @@ def stream_of(url: str) -> Iterator[tuple[Iterator[dict[str, Any]], Callable[[],
 def test_a_feed_records_first_and_tells_the_stop_from_the_trials_own_thread() -> None:
     asked, recording = threading.Event(), Recording()
     with trial_page(asked.set) as served, stream_of(served.url) as (messages, press):
-        feed = feeds.TrialFeed(served)
+        feed = feeds.TrialFeed(served, feeds.places(Network(), feeds.FORCES))
         sink, row = feed.beside(recording), [0.0] * len(trial.SIGNALS)
         sink.frame(1, 0x701, b"\x7f")
         sink.frames(memoryview(rows_of([(2, 0x702, 0, 1, 0, False, b"\x05")]).tobytes()), 1, 2)

@@ -220,8 +220,10 @@ def test_gait_trials_are_run_on_a_calibration_and_end_in_its_file(composer: Comp
     outcome, found = identify.run(link, tap, None, given)
     assert outcome.reason is None
     (segments,) = found.values()
-    reason, walked = identify.walk(link, tap, None, given, nominal())
+    (path,) = found
+    reason, gaits = identify.walk(link, tap, None, given, {path: nominal()})
     assert reason is None
+    walked = gaits[path]
     assert [segment.kind for segment in walked] == ["gait", "gait"]
     calibration = identify.with_discrepancy(nominal(), [*segments, *walked])
     told = calibration.discrepancy

@@ -77,13 +77,15 @@ def _play(
     from bowden.live import feeds
     from bowden.live.trial_player import TrialPlayer
     from bowden.live.web import LivePage
+    from trial.paths import names
     from trial.playback import SPEEDS
     from trial.read import open as opened
 
     if not SPEEDS[0] <= speed <= SPEEDS[1]:
         raise InputError(f"--speed {speed:g}: expected {SPEEDS[0]:g} … {SPEEDS[1]:g}; give another one.")
-    shown = feeds.state(path.name, "recorded", configuration.read(config)["network"])
-    player = TrialPlayer(opened(path), speed, time.monotonic_ns, shown)
+    trial = opened(path)
+    shown = feeds.state(path.name, "recorded", configuration.read(config)["network"], names(trial) or ("",))
+    player = TrialPlayer(trial, speed, time.monotonic_ns, shown)
     with closing(LivePage(shown, web, None, feeds.RECORDED, player.request)) as page:
         _show(page, json=json)
         while not ended():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -41,6 +42,7 @@ def watch(
     reached: Bus,
     seconds: Seconds = None,
     config: options.Config = None,
+    path: options.ForcePath = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
@@ -50,13 +52,15 @@ def watch(
 
     Example: bowden trial --cycles 3 -o good.mcap && bowden watch trial.mcap --healthy good.mcap
     """
+    from bowden.models import logbook_entries
     from bowden.trials import session
 
     if (trial is None) == (reached.interface is None):
         raise NothingGivenError("TRIAL | --interface NAME",
                                 "bowden watch reads a trial or a bus; give either a file or --interface.")
     session.refuse_no_logbook(logbook)
-    bench = watched_bench(healthy, logbook)
+    bench = replace(watched_bench(healthy, logbook), path=path or (
+        None if logbook is None else logbook_entries.path_of(logbook)))
     if trial is not None:
         return _file(trial, bench, seconds, json=json)
     return _bus(reached, config, output, bench, seconds, overwrite=overwrite, json=json)
@@ -68,7 +72,7 @@ def _file(trial: Path, bench: WatchedBench, seconds: float | None, *, json: bool
     deadline = None if seconds is None else time.monotonic() + seconds
     with terminal.waiting("fitting the reference trials", shown=not json):
         watched = file_watch.FileWatch(trial, bench)
-    found = [_said(one, json) for one in _looked(
+    found = [_said(watched, one, json) for one in _looked(
         watched, lambda: deadline is not None and time.monotonic() >= deadline)]
     told: dict[str, Any] = {"trial": str(trial), "cycles": [one.as_json() for one in found], "diagnosis": None}
     if watched.closed:
@@ -123,11 +127,9 @@ def _bus(reached: Bus, config: Path | None, output: Path | None, bench: WatchedB
     return max(_tell(told, json=json), int(failure is not None))
 
 
-def _said(one: WatchVerdict, json: bool) -> WatchVerdict:
-    from bowden.watch.file_watch import told
-
+def _said(watched: FileWatch, one: WatchVerdict, json: bool) -> WatchVerdict:
     if not json:
-        print(told(one))
+        print(watched.told(one))
         sys.stdout.flush()
     return one
 

@@ -108,6 +108,7 @@ def diagnose(
     deviations: dict[str, float] | None = None
     if logbook is not None:
         healthy, deviations = _of_logbook(logbook, healthy, chosen)
+        path = _path_of(logbook, path)
     began = time.perf_counter()
     if path is not None and calibration is not None:
         calibration = force_paths.file_of(calibration, path)
@@ -144,6 +145,18 @@ def _of_logbook(logbook: Path, healthy: list[Path] | None, trials: list[Path]
     return [path for path in found if path.resolve() not in same], deviations
 
 
+def _path_of(logbook: Path, path: str | None) -> str | None:
+    """Return the force path of a logbook; raises `InputError` where another one is asked for."""
+    from bowden.models import logbook_entries
+
+    followed = logbook_entries.path_of(logbook)
+    if path is not None and path != followed:
+        raise InputError(f"--path {path}: the logbook {logbook} follows " + (
+            f"{followed}; leave --path out, or give that path's logbook." if followed else
+            "a bench of a single force path; leave --path out."))
+    return followed
+
+
 def _leave_out(given: dict[str, Any], names: Iterable[str], reason: str) -> None:
     for option in names:
         if given[option]:
@@ -164,8 +177,6 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
     for option in ("--workers", "--scheduler"):
         if given[option] and not given["--each"]:
             raise InputError(f"{option} belongs to --each; leave it out, or diagnose every trial for itself.")
-    if given["--path"] and given["--logbook"]:
-        raise InputError("--path: a logbook keeps verdicts of whole trials; leave --logbook out.")
     if given["--tracked"] and not given["--report"]:
         raise InputError("--tracked is shown in the report; name one with --report.")
     return trials

@@ -42,14 +42,15 @@ SHOWN = 10
 
 
 @logbook.command("init")
-def init_logbook(folder: Folder, name: Name = "", references: References = 3, json: options.Json = False) -> int:
-    """Make an empty logbook of one bench.
+def init_logbook(folder: Folder, name: Name = "", references: References = 3, path: options.ForcePath = None,
+                 json: options.Json = False) -> int:
+    """Make an empty logbook of one bench; of a bench of several force paths, of the one that --path names.
 
     Example: bowden logbook init bench1
     """
     from logbook import database
 
-    database.create(folder, name, references)
+    database.create(folder, name, references, path or "")
     terminal.emit({"logbook": str(folder), "references": references}) if json else print(f"Logbook: {folder}")
     return 0
 

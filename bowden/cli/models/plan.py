@@ -25,7 +25,7 @@ Model = Annotated[Path | None, typer.Option(
 
 @app.command("plan")
 def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logbook: Book = None, model: Model = None,
-                    json: options.Json = False) -> int:
+                    path: options.ForcePath = None, json: options.Json = False) -> int:
     """Find the shortest experiment that separates the effects of an ambiguity set.
 
     Predicted by simulating this bench under the motion of each experiment of the catalogue.
@@ -33,9 +33,10 @@ def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logb
     Example: bowden plan trial.mcap --healthy good.mcap
     """
     from bowden.models import experiment_plan, logbook_entries
+    from bowden.trials.force_paths import single_paths
 
-    if model is not None and (trials or healthy or logbook):
-        raise InputError("--model simulates its bench; leave trials, --healthy and --logbook out.")
+    if model is not None and (trials or healthy or logbook or path):
+        raise InputError("--model simulates its bench; leave trials, --healthy, --logbook and --path out.")
     if model is None and logbook is None and not trials:
         raise NothingGivenError("TRIAL… | --logbook DIR | --model FILE",
                                 "bowden plan: give trials with --healthy, a --logbook or a --model.")
@@ -46,7 +47,10 @@ def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logb
             known, deviations = logbook_entries.reference_trials(logbook) if logbook and not healthy else (
                 healthy or [], None)
             same = {path.resolve() for path in trials}
-            found = experiment_plan.of_trials(trials, [p for p in known if p.resolve() not in same], deviations)
+            path = path or (logbook_entries.path_of(logbook) if logbook else None)
+            references = [p for p in known if p.resolve() not in same]
+            with single_paths(trials, path) as asked, single_paths(references, path) as good:
+                found = experiment_plan.of_trials(asked, good, deviations)
         else:
             assert logbook is not None
             found = experiment_plan.of_logbook(logbook)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -75,7 +77,7 @@ def trial(
     setup_checks.refuse_unchecked(sections, calibration)
     sections["homing"] = configuration.homing(sections["homing"], homing_n)
     entered = session.entered(sections, logbook, config)
-    bench = watched.bench(entered, sections["network"])
+    bench = watched.bench(entered)
     chosen = reached.chosen(simulated)
     if motion_of is not None:
         prepared = repeated_motion.prepared(motion_of, sections, chosen)
@@ -90,17 +92,20 @@ def trial(
                                           **setup_checks.attached(calibration)})
         for note in notes:
             terminal.remark(note)
-    with _watch(bench, output, chosen, json) as watch, _page(web, output.name, sections["network"]) as page:
-        if watch is not None and page is not None:
+    with (_watches(bench, output, sections["network"], chosen, json) as watches,
+          _page(web, output.name, sections["network"]) as page):
+        for watch in watches.values() if page is not None else ():
             watch.show = page.suspected
         result = session.perform(
             prepared, output, picture, overwrite=overwrite, announce="" if json else _where(chosen),
-            progress=terminal.Terminal(shown=not json and watch is None),
-            watch=[one for one in (page, watch) if one is not None])
-        if watch is not None:
+            progress=terminal.Terminal(shown=not json and not watches),
+            watch=[*([] if page is None else [page]), *watches.values()])
+        for watch in watches.values():
             with terminal.waiting("diagnosing the whole trial", shown=not json):
                 watch.conclude()
-            result["watch"] = watch.as_json()
+        if watches:
+            found = {path: watch.as_json() for path, watch in watches.items()}
+            result["watch"] = found.get("", {"paths": found})
     if entered is not None and result["trial"] is not None:
         from bowden.models import logbook_entries
 
@@ -113,7 +118,8 @@ def trial(
         print(f"Stopped before the first control cycle, {chosen.told}: {result['stop_reason']}; nothing was recorded.")
     else:
         if "watch" in result:
-            _show_watch(result["watch"])
+            for path, found in result["watch"].get("paths", {"": result["watch"]}).items():
+                _show_watch(path, found)
         _show(result, Path(result["trial"]), picture, chosen.told, dry_run=dry_run,
               with_end=sections["network"].bench.measures_end)
         if "logbook" in result:
@@ -138,23 +144,30 @@ def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[Tr
     return feeds.of_trial(web, name, network, lambda url: terminal.remark(f"live page: {url}"))
 
 
-def _watch(bench: WatchedBench | None, output: Path, chosen: BusSettings, json: bool
-           ) -> AbstractContextManager[TrialWatch | None]:
-    """Return the watch of the trial, in a separate process; None without --watch."""
-    if bench is None:
-        return nullcontext()
+@contextmanager
+def _watches(bench: WatchedBench | None, output: Path, network: Any, chosen: BusSettings, json: bool
+             ) -> Iterator[dict[str, TrialWatch]]:
+    """Yield the watch of each force path of the trial, each in a separate process; none without --watch."""
+    from bowden.live.feeds import places
     from bowden.watch import watch_process
 
-    return watch_process.beside(output, bench, paced=chosen.simulated, shown=not json)
-
-
-def _show_watch(told: dict[str, Any]) -> None:
-    """Print the diagnosis of the complete trial, or the reason for its absence."""
-    found = told["diagnosis"]
-    if found is None:
-        terminal.remark(f"watch: no diagnosis of the whole trial: {told['remark'] or 'the watch was ended.'}")
+    if bench is None:
+        yield {}
         return
-    print(f"Watch: {found['verdict']}" + (f": {', '.join(found['class'])}" if found["class"] else ""))
+    with ExitStack() as stack:
+        yield {path: stack.enter_context(watch_process.beside(
+            output, replace(bench, path=path or None), place, paced=chosen.simulated, shown=not json))
+            for path, place in zip(network.bench.path_prefixes, places(network, ("cycle",)), strict=True)}
+
+
+def _show_watch(path: str, told: dict[str, Any]) -> None:
+    """Print the diagnosis of the complete trial of a force path, or the reason for its absence."""
+    found, of_path = told["diagnosis"], f" of {path}" if path else ""
+    if found is None:
+        terminal.remark(f"watch: no diagnosis{of_path} of the whole trial: "
+                        f"{told['remark'] or 'the watch was ended.'}")
+        return
+    print(f"Watch{of_path}: {found['verdict']}" + (f": {', '.join(found['class'])}" if found["class"] else ""))
 
 
 def _show_walk(walk: dict[str, Any]) -> None:

@@ -9,20 +9,28 @@ let told = null, receivedAt = 0, connected = false, epoch = null, rows = [], cha
 function number(value, digits) { return value == null ? "–" : value.toFixed(digits).replace("-", "−"); }
 
 function draw() {
-  const columns = [0, 1, 2, 3].map(place => rows.map(row => row[place]));
+  const columns = [0, ...places()].map(place => rows.map(row => row[place]));
   if (!chart) {
-    const line = (label, stroke, width) => ({ label, stroke, width, points: { show: false } });
+    const traces = [["desired", "#6b7280", 2.2], ["START", "#c2410c", 1.4], ["END", "#2563eb", 1.6]];
+    const line = place => {
+      const [name, stroke, width] = traces[(place - 1) % 3], path = Math.floor((place - 1) / 3);
+      return { label: `${told.paths[path]} ${name}`.trim(), stroke, width, dash: path ? [6 - path, 3] : [],
+        points: { show: false } };
+    };
     const axis = { stroke: "#5b6675", grid: { stroke: "#e6eaef", width: 1 }, ticks: { stroke: "#d9dee5" } };
     chart = new uPlot({
       width: at("plot").clientWidth, height: 320, legend: { show: false }, cursor: { drag: { setScale: false } },
       scales: { x: { time: false, range: () => [Math.max(0, edge() - width()), Math.max(edge(), width())] },
         y: { range: (u, low, high) => [Math.min(0, low ?? 0), Math.max(10, 1.08 * (high ?? 10))] } },
-      series: [{}, line("desired", "#6b7280", 2.2), line("START", "#c2410c", 1.4), line("END", "#2563eb", 1.6)],
+      series: [{}, ...places().map(line)],
       axes: [{ ...axis, label: "bus time (s)", labelSize: 22 }, { ...axis, label: "force (N)", labelSize: 22 }],
     }, columns, at("plot"));
     addEventListener("resize", () => chart.setSize({ width: at("plot").clientWidth, height: 320 }));
   } else chart.setData(columns);
 }
+function places() { return [...Array(3 * told.paths.length).keys()].map(place => place + 1); }
+// The newest value of one force, of each path.
+function forces(value) { return told.paths.map((_, path) => value(3 * path)).join(" · "); }
 function edge() { return rows.length ? rows[rows.length - 1][0] : 0; }
 function width() { return told ? told.window_s : 20; }
 
@@ -66,11 +74,12 @@ function take(message) {
     ? "The trial has ended." : "Ends the trial as Ctrl-C does: the tension is let go, the drives are disabled, the file is kept.") : message.stop.why;
   at("player").hidden = !message.player;
   if (message.player) controls(message.player, message.status);
-  const row = rows[rows.length - 1] || [null, null, null, null];
-  at("desired").textContent = number(row[1], 1);
-  at("start").textContent = number(row[2], 1);
-  at("end").textContent = number(row[3], 1);
-  at("error").textContent = number(row[1] == null || row[3] == null ? null : row[3] - row[1], 1);
+  const row = rows[rows.length - 1] || [];
+  at("desired").textContent = forces(first => number(row[first + 1], 1));
+  at("start").textContent = forces(first => number(row[first + 2], 1));
+  at("end").textContent = forces(first => number(row[first + 3], 1));
+  at("error").textContent = forces(first => number(
+    row[first + 1] == null || row[first + 3] == null ? null : row[first + 3] - row[first + 1], 1));
   at("load").textContent = number(message.load_percent, 1);
   draw();
 }
