@@ -131,11 +131,25 @@ def test_a_calibration_is_missing_for_a_path(ran: Path, bowden: Command) -> None
     assert "none." in err
 
 
-@pytest.mark.parametrize("options", [("--experiment", "friction-loops"), ("--dry-run",), ("--picture", "shown.png")])
-def test_what_runs_on_one_path_only_is_refused(ran: Path, bowden: Command, options: tuple[str, ...]) -> None:
-    status, out, err = bowden("trial", "--config", ran / "bench.toml", *options, "-o", ran / "other.mcap")
-    assert (status, out, (ran / "other.mcap").exists()) == (2, "", False)
-    assert options[0] in err
+@ONE_SHAPE
+def test_a_dry_run_and_its_picture_have_every_path(ran: Path, bowden: Command) -> None:
+    status, out, _ = bowden("trial", "--config", ran / "bench.toml", "--dry-run", "--period", "1", "--cycles", "1",
+                            "--settle", "0", "--picture", ran / "dry.svg", "-o", ran / "dry.mcap", "--json")
+    assert (status, json.loads(out)["outcome"]) == (0, "completed")
+    recorded = opened(ran / "dry.mcap")
+    assert all(np.nanmax(recorded.columns[f"{name}.tension_start_n"]) < 2.0 for name in names(recorded))
+    assert all(f"{name}: 50 N" in (ran / "dry.svg").read_text() for name in names(recorded))
+
+
+@pytest.mark.exhaustive
+def test_an_experiment_of_the_catalogue_runs_on_each_path_in_turn(ran: Path, bowden: Command) -> None:
+    status, _, err = bowden("trial", "--config", ran / "bench.toml", "--experiment", "locked_angles", "-o",
+                            ran / "angles.mcap", "--json")
+    assert status == 0, err
+    recorded = opened(ran / "angles.mcap")
+    pulled = [recorded.columns[f"{name}.tension_start_n"] > 20.0 for name in names(recorded)]
+    assert all(each.any() for each in pulled)
+    assert not np.logical_and(*pulled).any()
 
 
 @ONE_SHAPE
