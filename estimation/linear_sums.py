@@ -21,7 +21,7 @@ from physics.constant_table import ConstantTable
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
-DRIFT: Final = "drift"
+DRIFT: Final = "friction_drift"
 DRIFTING: Final = ("cable", "fabric")
 """Constants that the constant `DRIFT` changes in proportion to the progress of a trial."""
 

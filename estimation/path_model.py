@@ -46,7 +46,7 @@ class PathModel(ForwardModel):
     """As `posterior.SURROGATE`; with 0.2 a healthy trial of a rig of another structure reaches 12.7 nats."""
     session_shares = (0.0, 0.7, 1.4)
     unlike_share = 0.2
-    amounts: Mapping[str, tuple[str, float]] = {"creep_time": ("creep", 1.5e-5)}
+    amounts: Mapping[str, tuple[str, float]] = {"creep_time": ("creep_compliance", 1.5e-5)}
 
     def lacking(self, table: Table) -> list[str]:
         """Return the needed columns that a trial does not have."""

@@ -21,6 +21,7 @@ import numpy as np
 from estimation.linear_sums import SessionSums, Sums
 from parameters import InputError
 from physics.laws import Array
+from physics.older_files import renamed_in_sql
 
 FILE: Final = "logbook.sqlite"
 PATIENCE_S: Final = 60.0
@@ -63,10 +64,11 @@ DELETE FROM reference;
 CREATE TABLE estimate (
     trial INTEGER PRIMARY KEY REFERENCES trial(id), reference INTEGER REFERENCES reference(id), remark TEXT NOT NULL,
     square BLOB, pull BLOB, growth BLOB, rmse_n REAL);
-""")
+""", ";".join(renamed_in_sql(*place) for place in (("reference", "constants"), ("note", "resets"))))
 """SQL of each version of the schema, applied to the one before it; `PRAGMA user_version` counts them.
 
-The fourth drops estimates of single trials, which a later `add` makes anew from the files."""
+The fourth drops estimates of single trials, which a later `add` makes anew from the files; the fifth renames
+constants."""
 
 
 class TrialEntry(NamedTuple):
@@ -99,14 +101,6 @@ class NewTrial(NamedTuple):
     conditions: Mapping[str, str]
     figures: Mapping[str, Any]
     software: str
-
-
-class StoredSums(NamedTuple):
-    """Sums of a trial under the reference model, with the session that it belongs to."""
-
-    session: int
-    trial: int
-    sums: SessionSums
 
 
 class SessionEntry(NamedTuple):

@@ -9,10 +9,10 @@ from logbook.bench_state import CONSTANTS
 from parameters import InputError
 
 PARTS: Final[Mapping[str, tuple[str, ...]]] = {
-    "cable": ("cable", "bend", "load", "viscous", "dry", "cable_travel", "cable_rest", "rest_speed", "memory", "lead",
-              "before", "zero"),
-    "fabric": ("fabric", "wrap", "fabric_travel", "fabric_rest", "stiffness", "curve2", "curve3", "before", "prompt",
-               "slow", "creep", "creep_time", "zero"),
+    "cable": ("cable", "bend", "load", "viscous", "dry", "cable_travel", "breakaway", "stribeck_speed",
+              "stribeck_memory", "cable_compliance", "fabric_share", "zero"),
+    "fabric": ("fabric", "wrap", "fabric_travel", "fabric_breakaway", "stiffness", "curve2", "curve3", "fabric_share",
+               "prompt", "slow", "creep_compliance", "creep_time", "zero"),
     "knee": ("play", "gap", "arm", "arm2", "arm3", "zero"),
     "start": ("start_gain", "start_offset", "start_lag"),
     "end": ("end_gain", "end_offset", "end_lag"),

@@ -17,26 +17,26 @@ from numba import njit
 from physics.laws import Array
 
 NAMES: Final = (
-    "zero", "arm", "arm2", "arm3", "eccentric_sin", "eccentric_cos", "drum", "play", "gap",
-    "stiffness", "curve2", "curve3", "lead", "before", "prompt", "slow", "creep", "creep_time",
-    "cable", "bend", "load", "drift", "viscous", "drag", "dry",
+    "zero", "arm", "arm2", "arm3", "eccentric_sin", "eccentric_cos", "drum_radius", "play", "gap",
+    "stiffness", "curve2", "curve3", "cable_compliance", "fabric_share", "prompt", "slow", "creep_compliance",
+    "creep_time", "cable", "bend", "load", "friction_drift", "viscous", "drag", "dry",
     "fabric", "wrap", "surface", "cable_travel", "fabric_travel",
-    "cable_rest", "fabric_rest", "rest_speed", "memory",
+    "breakaway", "fabric_breakaway", "stribeck_speed", "stribeck_memory",
 )
 """Parameters of the path, one row each of the array that `simulate` takes.
 
 `zero` m: encoder at the taut, unloaded rope at the knee angle `KNEE_RAD`.  `arm`, `arm2`, `arm3` m/radⁿ: displacement
-of the anchor on the leg by knee angle.  `eccentric_sin`, `eccentric_cos` m, `drum` m: payout of an eccentric drum.
-`play` rad: half dead band of the knee; `gap` rad: half dead band that the load closes.  `stiffness` N at 10 mm of
-stretch, `curve2`, `curve3` its quadratic and cubic shares.  `lead` m/N: compliance between drum and sheath.  `before`:
-share of the fabric's stretch before the knee.  `prompt`, `slow` m/N: retarded compliance with time constants
-`PROMPT_S`, `SLOW_S`; `creep` m/N, `creep_time` s: a further one.  `cable`, `fabric`: friction exponents μ1·θ1 and μ2·φ
-at `KNEE_RAD`, `LOAD_N`.  `bend` 1/rad: relative change of the cable's exponent with knee angle; `wrap` 1/rad: that of
-the fabric's.  `surface`: share of the anchor's displacement by which the surface under the fabric moves.  `load`:
-relative change of both exponents for each 40 N; `drift`: over the trial.  `viscous` N·s/m: viscous friction that a
-loose rope does not have, `drag` N·s/m: that of any taut one; `dry` N: friction that no load changes.  `cable_travel`,
-`fabric_travel` m: pre-sliding distance.  `cable_rest`, `fabric_rest`: relative excess of static over sliding friction,
-`rest_speed` m/s the Stribeck speed, `memory` s its lag."""
+of the anchor on the leg by knee angle.  `eccentric_sin`, `eccentric_cos` m, `drum_radius` m: payout of an eccentric
+drum.  `play` rad: half dead band of the knee; `gap` rad: half dead band that the load closes.  `stiffness` N at 10 mm
+of stretch, `curve2`, `curve3` its quadratic and cubic shares.  `cable_compliance` m/N: compliance between drum and
+sheath.  `fabric_share`: share of the fabric's stretch before the knee.  `prompt`, `slow` m/N: retarded compliance with
+time constants `PROMPT_S`, `SLOW_S`; `creep_compliance` m/N, `creep_time` s: a further one.  `cable`, `fabric`: friction
+exponents μ1·θ1 and μ2·φ at `KNEE_RAD`, `LOAD_N`.  `bend` 1/rad: relative change of the cable's exponent with knee
+angle; `wrap` 1/rad: that of the fabric's.  `surface`: share of the anchor's displacement by which the surface under the
+fabric moves.  `load`: relative change of both exponents for each 40 N; `friction_drift`: over the trial.  `viscous`
+N·s/m: viscous friction that a loose rope does not have, `drag` N·s/m: that of any taut one; `dry` N: friction that no
+load changes.  `cable_travel`, `fabric_travel` m: pre-sliding distance.  `breakaway`, `fabric_breakaway`: relative
+excess of static over sliding friction, `stribeck_speed` m/s the Stribeck speed, `stribeck_memory` s its lag."""
 INDEX: Final = {name: i for i, name in enumerate(NAMES)}
 (ZERO, ARM, ARM2, ARM3, ECC_SIN, ECC_COS, DRUM, PLAY, GAP, STIFF, CURVE2, CURVE3, LEAD, BEFORE, PROMPT, SLOW, CREEP,
  CREEP_TIME, CABLE, BEND, LOAD, DRIFT, VISCOUS, DRAG, DRY, FABRIC, WRAP, SURFACE, CABLE_TRAVEL, FABRIC_TRAVEL,

@@ -29,6 +29,11 @@ FIRST: Final[Mapping[str, str]] = {
 """Names of version 1, and today's; its other names are today's."""
 FIRST_UNIT: Final = "rad/rad"
 """Unit of version 1 for what is 1/rad today."""
+FORCE_PATH: Final[Mapping[str, str]] = {
+    "creep": "creep_compliance", "rest_speed": "stribeck_speed", "memory": "stribeck_memory", "cable_rest": "breakaway",
+    "fabric_rest": "fabric_breakaway", "drum": "drum_radius", "lead": "cable_compliance", "before": "fabric_share",
+    "drift": "friction_drift"}
+"""Names of constants of the force path in older logbooks, and today's."""
 PARAMETERS_TABLE: Final = "parameters"
 SIMULATION_TABLE: Final = "simulation"
 FITTED_TABLE: Final = "fitted"
@@ -49,6 +54,14 @@ def translated(tables: Mapping[str, Any], where: str) -> dict[str, Any]:
         if isinstance(rows := found.get(name), Mapping):
             found[name] = current_names(rows, where)
     return found
+
+
+def renamed_in_sql(table: str, column: str) -> str:
+    """Return the SQL statement that gives a column of JSON lists today's names of the force path's constants."""
+    text = column
+    for old, name in FORCE_PATH.items():
+        text = f"replace({text}, '\"{old}\"', '\"{name}\"')"
+    return f"UPDATE {table} SET {column} = {text}"
 
 
 def _in_today_s_unit(row: Any) -> Any:

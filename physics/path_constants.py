@@ -26,22 +26,22 @@ TABLE: Final = (
     _C("arm3", "m/rad³", 0.0, "linear", 1e-3, 1e-4, "cubic lever arm"),
     _C("eccentric_sin", "m", 0.0, "linear", 0.0, 0.0, "runout of the drum, sine part", step=1e-5),
     _C("eccentric_cos", "m", 0.0, "linear", 0.0, 0.0, "runout of the drum, cosine part", step=1e-5),
-    _C("drum", "m", 0.02, "linear", 0.0, 0.0, "radius of the drum", step=1e-4),
+    _C("drum_radius", "m", 0.02, "linear", 0.0, 0.0, "radius of the drum", step=1e-4),
     _C("play", "rad", 2e-4, "positive", 6e-4, 1.5e-4, "half dead band of the knee, by motion", 2e-4),
     _C("gap", "rad", 2e-4, "positive", 6e-4, 1.5e-4, "half dead band of the knee, by load", 2e-4),
     _C("stiffness", "N", 40.0, "log", 0.5, 0.03, "(10): force at 10 mm of stretch, linear part; session 3 %"),
     _C("curve2", "", 0.4, "linear", 0.6, 0.03, "(10): quadratic share of the force"),
     _C("curve3", "", 0.1, "positive", 0.3, 0.02, "cubic share of the force", 0.04),
-    _C("lead", "m/N", 3e-5, "log", 0.5, 0.03, "compliance between drum and sheath"),
-    _C("before", "", 0.5, "logit", 0.5, 0.03, "share of the fabric's stretch before the knee"),
+    _C("cable_compliance", "m/N", 3e-5, "log", 0.5, 0.03, "compliance between drum and sheath"),
+    _C("fabric_share", "", 0.5, "logit", 0.5, 0.03, "share of the fabric's stretch before the knee"),
     _C("prompt", "m/N", 2e-6, "log", 1.0, 0.1, "retarded compliance, 0.08 s"),
     _C("slow", "m/N", 2e-6, "log", 1.0, 0.1, "retarded compliance, 1 s"),
-    _C("creep", "m/N", 1e-6, "positive", 2e-6, 4e-7, "creep compliance J", 4e-7),
+    _C("creep_compliance", "m/N", 1e-6, "positive", 2e-6, 4e-7, "creep compliance J", 4e-7),
     _C("creep_time", "s", 5.0, "log", 0.7, 0.05, "creep time constant τ"),
     _C("cable", "", 0.15, "log", 0.6, 0.04, "(3): exponent μ1·θ1; session 3 % and how the laws differ"),
     _C("bend", "1/rad", 0.0, "linear", 0.1, 0.03, "relative change of the cable's exponent with knee angle"),
     _C("load", "", 0.0, "linear", 0.15, 0.02, "relative change of friction for 40 N of tension"),
-    _C("drift", "", 0.0, "linear", 0.0, 0.0, "relative change of friction over the trial", step=0.02),
+    _C("friction_drift", "", 0.0, "linear", 0.0, 0.0, "relative change of friction over the trial", step=0.02),
     _C("viscous", "N·s/m", 8.0, "positive", 8.0, 0.7, "viscous friction of rope in sheath", 1.0),
     _C("drag", "N·s/m", 0.0, "linear", 0.0, 0.0, "viscous friction of the taut rope at any load", step=0.3),
     _C("dry", "N", 0.05, "log", 0.8, 0.15, "friction that no load changes"),
@@ -50,10 +50,10 @@ TABLE: Final = (
     _C("surface", "", 0.75, "logit", 1.0, 0.1, "share of the knee's motion that the surface under the fabric has"),
     _C("cable_travel", "m", 1e-4, "log", 0.8, 0.2, "pre-sliding distance of the cable"),
     _C("fabric_travel", "m", 1e-4, "log", 0.8, 0.22, "pre-sliding distance of the fabric"),
-    _C("cable_rest", "", 0.1, "positive", 0.35, 0.05, "static over sliding friction of the cable, less 1", 0.04),
-    _C("fabric_rest", "", 0.1, "positive", 0.35, 0.05, "static over sliding friction of the fabric, less 1", 0.04),
-    _C("rest_speed", "m/s", 0.01, "log", 0.8, 0.1, "Stribeck speed"),
-    _C("memory", "s", 0.02, "log", 0.6, 0.06, "lag of friction behind the sliding speed"),
+    _C("breakaway", "", 0.1, "positive", 0.35, 0.05, "static over sliding friction of the cable, less 1", 0.04),
+    _C("fabric_breakaway", "", 0.1, "positive", 0.35, 0.05, "static over sliding friction of the fabric, less 1", 0.04),
+    _C("stribeck_speed", "m/s", 0.01, "log", 0.8, 0.1, "Stribeck speed"),
+    _C("stribeck_memory", "s", 0.02, "log", 0.6, 0.06, "lag of friction behind the sliding speed"),
     _C("start_gain", "", 1.0, "linear", 0.003, 0.003, "gain of START; maker's class 0.3 %"),
     _C("start_offset", "N", 0.0, "linear", 0.15, 0.1, "zero of START"),
     _C("start_drift", "N", 0.0, "linear", 0.05, 0.1, "zero drift of START over the trial; session: as the zero"),
@@ -78,13 +78,12 @@ TABLE: Final = (
 from the bench's, the scatter between reference trials of one bench (`python -m tests.hidden.evidence_calibration`)."""
 BOUNDS: Final = {
     "curve2": (-0.12, 6.0), "load": (-0.9, 0.9), "bend": (-1.5, 2.0), "wrap": (-1.5, 1.95),
-    "drift": (-0.95, 3.0), "drag": (-20.0, 200.0), "demand_gain": (0.3, 3.0), "start_gain": (0.3, 3.0),
+    "friction_drift": (-0.95, 3.0), "drag": (-20.0, 200.0), "demand_gain": (0.3, 3.0), "start_gain": (0.3, 3.0),
     "end_gain": (0.3, 3.0), "start_lag": (-0.05, 0.1), "end_lag": (-0.05, 0.1), "drive_asymmetry": (-2.0, 2.0)}
 """Bounds that keep the force balance solvable: rising force over stretch, positive friction."""
 CONSTANTS: Final = ConstantTable(TABLE, BOUNDS)
 INDEX: Final = CONSTANTS.index
 NAMES: Final = CONSTANTS.names
-BENCH_SD: Final[Array] = CONSTANTS.bench_sd
 SESSION_SD: Final[Array] = CONSTANTS.session_sd
 FREE: Final = CONSTANTS.free
 """Constants that differ between benches in the reference condition."""

@@ -17,7 +17,8 @@ from physics.plant.leg import GRAVITY
 from physics.rig_forces import dahl_states
 
 OF_DRIVE: Final = (
-    "start_lag", "start_offset", "start_drift", "start_gain", "drum", "eccentric_sin", "eccentric_cos", "drive_travel",
+    "start_lag", "start_offset", "start_drift", "start_gain", "drum_radius", "eccentric_sin", "eccentric_cos",
+    "drive_travel",
     "drive_coulomb", "drive_asymmetry", "drive_viscous", "drive_viscous_asymmetry", "drive_inertia", "drive_offset",
     "demand_gain")
 """Constants of `drive_force`, which is computed once per distinct set of them and has access to no others."""
@@ -66,8 +67,9 @@ def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
 
     start = _late(np.tile(motion.start_n, (distinct.shape[0], 1)), -constants["start_lag"], step_s)
     tension = (start - column("start_offset") - column("start_drift") * motion.progress) / column("start_gain")
-    angle = motion.rope_m / column("drum")
-    arm = 1.0 + (column("eccentric_sin") * np.cos(angle) - column("eccentric_cos") * np.sin(angle)) / column("drum")
+    radius = column("drum_radius")
+    angle = motion.rope_m / radius
+    arm = 1.0 + (column("eccentric_sin") * np.cos(angle) - column("eccentric_cos") * np.sin(angle)) / radius
     travels, row = np.unique(column("drive_travel"), return_inverse=True)
     slip = dahl_states(motion.rope_m, travels)[row.ravel()]
     coulomb = column("drive_coulomb") * slip * (1.0 + column("drive_asymmetry") * slip)

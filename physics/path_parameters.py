@@ -25,14 +25,11 @@ TENSIONS_N: Final = np.linspace(10.0, 60.0, 11)
 """Tensions at which the two stretch equations are equated: those of a gait cycle's loading."""
 ANGLES_RAD: Final = np.linspace(-1.2, 0.0, 13)
 """Knee angles at which the two displacements of the anchor are equated."""
-DIRECT: Final = {
-    "viscous": "viscous", "stribeck_speed": "rest_speed", "stribeck_memory": "memory", "creep_compliance": "creep",
-    "creep_time": "creep_time", "start_gain": "start_gain", "end_gain": "end_gain", "start_offset": "start_offset",
-    "end_offset": "end_offset", "timestamp_skew": "start_lag", "drive_coulomb": "drive_coulomb",
-    "drive_viscous": "drive_viscous", "drive_inertia": "drive_inertia", "drive_offset": "drive_offset",
-    "drive_asymmetry": "drive_asymmetry", "drive_viscous_asymmetry": "drive_viscous_asymmetry",
-    "demand_gain": "demand_gain"}
-"""Parameter of the simulation → constant of the path that is the same quantity."""
+DIRECT: Final = (
+    "viscous", "stribeck_speed", "stribeck_memory", "creep_compliance", "creep_time", "start_gain", "end_gain",
+    "start_offset", "end_offset", "drive_coulomb", "drive_viscous", "drive_inertia", "drive_offset", "drive_asymmetry",
+    "drive_viscous_asymmetry", "demand_gain")
+"""Constants of the path that the simulation has, too."""
 
 
 def simulation_values(path: Values) -> dict[str, float]:
@@ -40,10 +37,10 @@ def simulation_values(path: Values) -> dict[str, float]:
 
     Each value lies within the bounds of its row of the parameter table.
     """
-    given = healthy() | {name: path[constant] for name, constant in DIRECT.items()} | _friction(path)
+    given = healthy() | {name: path[name] for name in DIRECT} | _friction(path)
     given |= stretch_of(path) | _anchor(path)
-    given |= {"home_preload": 0.0, "end_delay": path["end_lag"] - path["start_lag"],
-              "drive_presliding": PRESLIDING * path["drive_travel"]}
+    given |= {"home_preload": 0.0, "timestamp_skew": path["start_lag"],
+              "end_delay": path["end_lag"] - path["start_lag"], "drive_presliding": PRESLIDING * path["drive_travel"]}
     return {name: min(max(value, p.low), p.high) for name, value in given.items()
             for p in (ESTIMATED[name],)}
 
@@ -56,7 +53,7 @@ def _friction(path: Values) -> dict[str, float]:
         "mu1": path["cable"] * loaded * bent / PARAMETERS["theta1"].nominal, "cable_bend": path["bend"] / bent,
         "load_slope": path["load"] / loaded, "mu2": path["fabric"] * loaded * wrapped / phi0,
         "fabric_wrap": phi0 * path["wrap"] / max(wrapped, 0.02),
-        "stribeck_ratio": 1.0 + 0.5 * (path["cable_rest"] + path["fabric_rest"]),
+        "stribeck_ratio": 1.0 + 0.5 * (path["breakaway"] + path["fabric_breakaway"]),
         "presliding": PRESLIDING * path["cable_travel"],
         "fabric_presliding_ratio": path["fabric_travel"] / path["cable_travel"]}
 
@@ -66,11 +63,11 @@ def stretch_of(path: Values) -> dict[str, float]:
     strain = np.linspace(0.0, 4.0, 4001)
     tension = path["stiffness"] * strain * (1.0 + strain * (path["curve2"] + strain * path["curve3"]))
     delayed = path["prompt"] + 0.5 * path["slow"]
-    stretch = STRETCH_M * np.interp(TENSIONS_N, tension, strain) + (path["lead"] + delayed) * TENSIONS_N
+    stretch = STRETCH_M * np.interp(TENSIONS_N, tension, strain) + (path["cable_compliance"] + delayed) * TENSIONS_N
     linear, bend = np.linalg.lstsq(np.stack([TENSIONS_N, TENSIONS_N**2], axis=1), stretch, rcond=None)[0]
     scale = STRETCH_LINEAR / max(float(linear), 1e-6)
     return {"stiffness_scale": scale, "stiffness_shape": float(bend) * scale / STRETCH_BEND - 1.0,
-            "cable_share": path["lead"] * scale / STRETCH_LINEAR}
+            "cable_share": path["cable_compliance"] * scale / STRETCH_LINEAR}
 
 
 def _anchor(path: Values) -> dict[str, float]:

@@ -54,8 +54,8 @@ def scalars_of(path: Values) -> dict[str, float]:
     known.pop("home_preload", None)
     wrap = min(max(path["wrap"], WRAP[0]), WRAP[1])
     known |= {"mu2": path["fabric"] * (1.0 + LOAD_PER_STEP * path["load"]) * wrap,
-              "phi0": 1.0 / wrap + KNEE_RAD, "fabric_wrap": 1.0, "fabric_breakaway": path["fabric_rest"],
-              "breakaway": path["cable_rest"], "start_lag": path["start_lag"], "fabric_share": path["before"]}
+              "phi0": 1.0 / wrap + KNEE_RAD, "fabric_wrap": 1.0}
+    known |= {name: path[name] for name in ("breakaway", "fabric_breakaway", "start_lag", "fabric_share")}
     bounds = {name: PARAMETERS[name].assumed for name in known}
     return {name: value if (row := bounds[name]) is None else min(max(value, row.low), row.high)
             for name, value in known.items()}

@@ -69,18 +69,19 @@ def _stiffer(values: Values) -> tuple[Variant, ...]:
 
 
 def _creeps(values: Values) -> tuple[Variant, ...]:
-    return tuple(_frees(({"creep": 1.0}, 3e-5), ({"creep_time": 1.0}, 0.7), at={"creep_time": seconds})
+    return tuple(_frees(({"creep_compliance": 1.0}, 3e-5), ({"creep_time": 1.0}, 0.7), at={"creep_time": seconds})
                  for seconds in (0.3, 1.5, 8.0))
 
 
 def _sticks(values: Values) -> tuple[Variant, ...]:
-    return tuple(_frees((along, 0.8), ({"rest_speed": 1.0}, 0.8), at={"rest_speed": speed})
+    return tuple(_frees((along, 0.8), ({"stribeck_speed": 1.0}, 0.8), at={"stribeck_speed": speed})
                  for speed in (0.006, 0.02)
-                 for along in ({"cable_rest": 1.0, "fabric_rest": 1.0}, {"cable_rest": 1.0}, {"fabric_rest": 1.0}))
+                 for along in ({"breakaway": 1.0, "fabric_breakaway": 1.0}, {"breakaway": 1.0},
+                               {"fabric_breakaway": 1.0}))
 
 
 def _runs_out(values: Values) -> tuple[Variant, ...]:
-    return tuple(_frees(({"eccentric_sin": 1.0}, 3e-4), ({"eccentric_cos": 1.0}, 3e-4), at={"drum": radius})
+    return tuple(_frees(({"eccentric_sin": 1.0}, 3e-4), ({"eccentric_cos": 1.0}, 3e-4), at={"drum_radius": radius})
                  for radius in (0.016, 0.02, 0.025, 0.031, 0.038))
 
 
@@ -117,15 +118,15 @@ HYPOTHESES: Final[Mapping[str, Hypothesis]] = {
         FRICTION, lambda v: (_frees(({"viscous": 1.0}, 12.0)), _frees(({"drag": 1.0}, 12.0))), {
             "viscous": lambda v, b: v["viscous"] + v["drag"]}),
     "stribeck": Hypothesis(FRICTION, _sticks, {
-                "stribeck_ratio": lambda v, b: 1.0 + 0.5 * (v["cable_rest"] + v["fabric_rest"]),
-                "stribeck_speed": lambda v, b: v["rest_speed"]}),
+                "stribeck_ratio": lambda v, b: 1.0 + 0.5 * (v["breakaway"] + v["fabric_breakaway"]),
+                "stribeck_speed": lambda v, b: v["stribeck_speed"]}),
     "presliding": Hypothesis(FRICTION, _yields, {
             "presliding": lambda v, b: PRESLIDING * math.sqrt(v["cable_travel"] * v["fabric_travel"])}),
-    "friction_drift": _one(FRICTION, "drift", 0.5, "friction_drift"),
+    "friction_drift": _one(FRICTION, "friction_drift", 0.5),
     "stiffness": Hypothesis(ELASTICITY, _stiffer, {
         "stiffness_scale": lambda v, b: stretch_of(v)["stiffness_scale"]}),
     "fabric_creep": Hypothesis(ELASTICITY, _creeps, {
-        "creep_compliance": lambda v, b: v["creep"], "creep_time": lambda v, b: v["creep_time"]}),
+        "creep_compliance": lambda v, b: v["creep_compliance"], "creep_time": lambda v, b: v["creep_time"]}),
     "end_gain": _one(ELASTICITY, "end_gain", 0.06, needs=END),
     "start_gain": _one(ELASTICITY, "start_gain", 0.06),
     "slack": Hypothesis(GEOMETRY, lambda v: (_frees(({"zero": 1.0}, 3e-3)),), {

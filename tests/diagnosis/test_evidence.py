@@ -53,8 +53,8 @@ def ramp() -> tuple[np.ndarray, np.ndarray]:
 
 def test_sliding_friction_is_the_capstans_both_ways() -> None:
     rope, knee = ramp()
-    told = force_path.simulate(path(cable=0.2, fabric=0.1, load=0.0, viscous=0.0, dry=0.0, cable_rest=0.0,
-                                    fabric_rest=0.0), rope, knee, GRID_S)
+    told = force_path.simulate(path(cable=0.2, fabric=0.1, load=0.0, viscous=0.0, dry=0.0, breakaway=0.0,
+                                    fabric_breakaway=0.0), rope, knee, GRID_S)
     ratio = told.start[0] / told.end[0]
     # (1 + x)/(1 − x) with x = exponent/2 stands for e^exponent: third order, 0.1 % here; light drag adds 0.1 N of 40
     assert ratio[499] == pytest.approx(math.exp(0.3), rel=0.01)
@@ -70,7 +70,7 @@ def test_a_slack_rope_carries_nothing_and_a_taut_one_follows_the_stretch() -> No
 
 def test_a_batch_is_its_members_one_by_one() -> None:
     rope, knee = ramp()
-    sets = np.concatenate([path(), path(cable=0.3), path(before=0.6, play=0.01)], axis=1)
+    sets = np.concatenate([path(), path(cable=0.3), path(fabric_share=0.6, play=0.01)], axis=1)
     whole = force_path.simulate(sets, rope, knee, GRID_S)
     for j in range(3):  # Newton's method begins elsewhere, and ends as close
         alone = force_path.simulate(sets[:, j:j + 1], rope, knee, GRID_S)
@@ -218,12 +218,12 @@ def test_an_effect_outside_its_bounds_is_no_candidate() -> None:
 
 @pytest.mark.parametrize("scale", [0.8, 1.25])
 def test_the_stiffness_is_told_as_the_simulation_reads_it(scale: float) -> None:
-    q = coordinates_of(np.array(list(bench_values(lead=1e-9, prompt=1e-9, slow=1e-9).values())))
+    q = coordinates_of(np.array(list(bench_values(cable_compliance=1e-9, prompt=1e-9, slow=1e-9).values())))
     stiffness = HYPOTHESES["stiffness"]
     for name, share in stiffness.variants(named(q))[0].directions[0].along.items():
         q[INDEX[name]] += math.log(scale) * share
     read = stiffness.reads["stiffness_scale"]
-    before, after = (read(at, at) for at in (bench_values(lead=1e-9, prompt=1e-9, slow=1e-9), named(q)))
+    before, after = (read(at, at) for at in (bench_values(cable_compliance=1e-9, prompt=1e-9, slow=1e-9), named(q)))
     # the direction is the tangent of a stretch that is 1/s as long
     assert after / before == pytest.approx(scale, rel=0.03)
     assert after == simulation_values(named(q))["stiffness_scale"]

@@ -17,8 +17,9 @@ from physics.conversions import MEASURED, RELATED, SIMULATED, UNRELATED, convert
 from physics.converter import SensorParameters
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.effects_table import stated
-from physics.older_files import RENAMED
+from physics.older_files import FORCE_PATH, RENAMED
 from physics.parameters import BY_PLANT, CALIBRATED, ESTIMATED, PARAMETERS
+from physics.path_constants import TABLE
 from physics.plant.state_layout import PlantParameters
 from virtual_bus.machine import plant_model
 from virtual_bus.machine.scatter import LAWS
@@ -120,6 +121,13 @@ def test_older_names_are_read_with_a_remark() -> None:
         found = stated({"effects": {"moment_arm": {"moment_arm": 1e-3, "knee_ratio": {"value": 0.04}}}}, "m.toml")
     assert found == {"moment_arm": {"rope_per_knee_quadratic": 1e-3, "rope_per_knee": 0.04}}
     assert set(RENAMED.values()) <= set(PARAMETERS)
+
+
+def test_a_name_that_the_force_path_shares_with_the_table_is_of_one_unit() -> None:
+    shared = {row.name for row in TABLE} & set(PARAMETERS)
+    assert {name: PARAMETERS[name].unit for name in shared} == {
+        row.name: row.unit for row in TABLE if row.name in shared}
+    assert not {row.name for row in TABLE} & set(FORCE_PATH)
 
 
 def test_relations_read_names_of_the_table() -> None:
