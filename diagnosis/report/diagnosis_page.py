@@ -21,7 +21,7 @@ from trial.report.page import Page, Tile, number
 
 VERDICTS: Final = ("Changed:", "The trial agrees", "The data depart")
 """Beginnings of the sentence of the headline that states the verdict."""
-TO_DO: Final = ("To separate", "Mend ", "bowden identify", "Run bowden identify")
+TO_DO: Final = ("It is at ", "Look at the ", "To separate", "Mend ", "bowden identify", "Run bowden identify")
 """Beginnings of the sentences of the headline that state the next step."""
 KINDS: Final = {"none": "good", "found": "warn", "ambiguous": "warn", "unexplained": "bad", "refused": "bad"}
 
@@ -79,6 +79,8 @@ def _first(page: Page, found: Findings, trials: Sequence[Table]) -> None:
     sentences = list(headline(found))
     todo = [sentence for sentence in sentences if sentence.startswith(TO_DO)]
     said = [sentence for sentence in sentences if sentence not in todo]
+    if found.causes and not found.of_rig:
+        todo.append("bowden diagnose … -o extended.toml and bowden verify extended.toml show what control loses by it.")
     lead = next((sentence for sentence in said if sentence.startswith(VERDICTS)), said[0] if said else "")
     page.text(lead, "lead")
     if found.verdict != "refused":
@@ -101,11 +103,6 @@ def _next(found: Findings) -> str:
     """Return the next step where the headline has none."""
     if found.verdict == "none":
         return "Nothing to mend by these data."
-    if found.causes and not found.of_rig:
-        return (f"Look at the {found.causes[0]['site']}. bowden diagnose … -o extended.toml and bowden verify "
-                "extended.toml show what control loses by it.")
-    if found.causes:
-        return f"Look at the {found.causes[0]['site']}, and record again after the repair."
     return "Look where the simulation misses most, below, and record that motion again, slower and with other loads."
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 from diagnosis.findings import Figures, Findings
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
+from physics.effects.sites import SITES
 from trial.report.page import number
 
 NAMES: Final = {"tension_start_n": "START", "tension_end_n": "END", "servo_force_n": "the drive's force"}
@@ -75,6 +76,7 @@ def _by_evidence(found: Findings) -> Iterator[str]:
         yield f"Changed: {found.part}. " + " ".join(_cause(cause) for cause in found.causes)
         if errors is not None:
             yield gain_sentence(errors)
+        yield to_do(found)
         if found.unexplained:
             yield f"Something else differs, too: {_places(found.unexplained, errors)}."
     elif found.verdict == "unexplained":
@@ -186,6 +188,14 @@ def _cause(cause: Mapping[str, Any]) -> str:
     peak = " and ".join(f"{NAMES[name]} by {value:+.2f} N" for name, value in cause.get("at_peak_n", {}).items())
     return (f"{effect.name} at {effect.site} ({effect.law}): {values}."
             + (f" At the peak of START it changes {peak}." if peak else ""))
+
+
+def to_do(found: Findings) -> str:
+    """Return where the first cause sits and what to do there; of a rig of another kind its site alone."""
+    site = found.causes[0]["site"]
+    if found.of_rig:
+        return f"Look at the {site}, and record again after the repair."
+    return f"It is at {SITES[site].place}. {SITES[site].to_do}"
 
 
 def change(cause: Mapping[str, Any], name: str) -> str:

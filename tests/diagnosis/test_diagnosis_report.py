@@ -109,9 +109,10 @@ def test_first_come_error_cause_ambiguity_set_and_next_step(found: Findings, mea
     assert told[1].startswith("Changed: friction path. cable_friction at cable (")
     assert "mu1 0.08 → 0.16 (95 %: 0.1 … 0.2)" in told[1]
     assert told[2] == "It removes 70 % (95 %: 66 … 73) of the error with the session adapted."
-    assert told[3] == "These data do not separate it from: fabric_friction."
-    assert told[4].startswith("To separate them, record known_bend: ")
-    assert told[5] == "Constants that moved most: cable 0.13 → 0.25."
+    assert told[3].startswith("It is at the rope in its sheath, between START and the fabric. Look for a kink, ")
+    assert told[4] == "These data do not separate it from: fabric_friction."
+    assert told[5].startswith("To separate them, record known_bend: ")
+    assert told[6] == "Constants that moved most: cable 0.13 → 0.25."
     html = build(found, [measured], []).html().partition("<main>")[2]
     first = [html.index(text) for text in (
         "mu1 0.08", 'class="bench"', "START (measured) over END (measured)", "Error of the simulation",

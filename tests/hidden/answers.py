@@ -108,5 +108,5 @@ def _risen(said: Any) -> tuple[float, float | None]:
     if not rises:
         return 0.0, None
     ratio, f = max(rises, key=lambda rise: rise[0])
-    share = (f.rmse_before - f.rmse_after) / (f.rmse_before - f.floor) if ratio > LEAST_RATIO else None
+    share = (f.rmse_before - f.rmse_last) / (f.rmse_before - f.floor) if ratio > LEAST_RATIO else None
     return ratio, share
