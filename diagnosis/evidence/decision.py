@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Final
 
 import numpy as np
@@ -107,6 +108,28 @@ def threshold(observed: Observed) -> float:
     It grows with the motion that the reference trials do not have, as the session deviation of the path does.
     """
     return observed.model.nats_factor * math.hypot(1.0, observed.model.unseen * observed.beyond) * NAMED_NATS
+
+
+def probabilities(gains: Mapping[str, float], least: float) -> dict[str, float]:
+    """Return the probability of each effect with a positive log Bayes factor; the rest to 1 is that of no effect.
+
+    Model error makes log Bayes factors too large, in proportion to themselves.  So the odds of an effect are normal in
+    its share of the best one, of which the true effect has `SET_SHARE` in 95 %, and those of no effect normal in the
+    best one, of which reference trials reach the threshold `least` in 2 %.
+    """
+    seen = {name: gain for name, gain in gains.items() if gain > 0.0}
+    if not seen:
+        return {}
+    best = max(seen.values())
+    odds = {name: _odds((1.0 - gain / best) / (1.0 - SET_SHARE), 0.95) for name, gain in seen.items()}
+    whole = sum(odds.values()) + _odds(best / least, 0.98)
+    return {name: each / whole for name, each in odds.items()}
+
+
+def _odds(departure: float, reached: float) -> float:
+    """Return the density of a departure relative to that at 0, for a normal one that is below 1 in the share `reached`.
+    """
+    return math.exp(-0.5 * (departure * NormalDist().inv_cdf(0.5 + 0.5 * reached)) ** 2)
 
 
 def detected(gains: Mapping[str, float], least: float) -> list[str]:

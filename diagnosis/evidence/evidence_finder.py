@@ -142,7 +142,8 @@ class EvidenceFinder:
         experiment = _experiment(decided.among) if decided.verdict == "ambiguous" else None
         return Findings(
             decided.verdict, [self._cause(name, at, bench, gain.percent if gain is not None else 0.0)
-                              | {"at_peak_n": _at_peak(found, at, variant)} for name, variant in zip(
+                              | {"at_peak_n": _at_peak(found, at, variant),
+                                 "probability": _probability(found, decided, name)} for name, variant in zip(
                                   decided.chosen, decision.chosen_variants(found, decided.chosen), strict=True)],
             list(decided.among),
             experiment, relations, said, _limits(found, bench), reference=self.kind,
@@ -239,6 +240,14 @@ class EvidenceFinder:
                                "high": max(min(value + half, high), low), "unit": unit}
             before[parameter] = was
         return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "was": before, "gain_percent": gain}
+
+
+def _probability(found: Searched, decided: Decision, name: str) -> float:
+    """Return the probability of a chosen effect; of a second one beside the first."""
+    least = decision.threshold(found.observed)
+    if name == decided.chosen[0]:
+        return decision.probabilities(decided.gains, least)[name]
+    return decision.probabilities(found.further(decided.chosen[0]), DOUBTED * least)[name]
 
 
 def _at_peak(found: Searched, at: PosteriorMode, variant: Variant) -> dict[str, float]:

@@ -186,7 +186,8 @@ def _cause(cause: Mapping[str, Any]) -> str:
     effect = CATALOGUE[cause["effect"]]
     values = ", ".join(change(cause, name) for name in cause["parameters"])
     peak = " and ".join(f"{NAMES[name]} by {value:+.2f} N" for name, value in cause.get("at_peak_n", {}).items())
-    return (f"{effect.name} at {effect.site} ({effect.law}): {values}."
+    sure = f", probability {100.0 * cause['probability']:.0f} %" if "probability" in cause else ""
+    return (f"{effect.name} at {effect.site} ({effect.law}){sure}: {values}."
             + (f" At the peak of START it changes {peak}." if peak else ""))
 
 

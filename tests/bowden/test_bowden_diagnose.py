@@ -145,7 +145,8 @@ def test_json_has_the_keys_and_the_low_pass_is_stated_in_every_file(diagnosed: P
         "holdout_after", "gain_percent", "low", "high"}
     assert all(set(row) == {"reference", "session", "named", "gain_percent", "gain_interval"}
                for row in result["errors"].values())
-    assert set(result["causes"][0]) == {"effect", "site", "parameters", "gain_percent", "was", "at_peak_n"}
+    assert set(result["causes"][0]) == {
+        "effect", "site", "parameters", "gain_percent", "was", "at_peak_n", "probability"}
     assert "lowpass_hz = 20.0" in (diagnosed / "extended.toml").read_text(encoding="utf-8")
     assert "low-passed at 20 Hz" in (diagnosed / "page.html").read_text(encoding="utf-8")
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.linalg import cho_factor, cho_solve
 
 from bowden.cli.app import run
-from diagnosis.evidence.decision import NAMED_NATS, threshold
+from diagnosis.evidence.decision import NAMED_NATS, SET_SHARE, probabilities, threshold
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.finder import diagnose
 from estimation.data.table import Table, table
@@ -214,6 +214,17 @@ def test_an_effect_outside_its_bounds_is_no_candidate() -> None:
     assert told.evidence is not None
     assert "fabric_wrap would explain the trial" in " ".join(told.warnings)
     assert "fabric_wrap" not in told.evidence["log_bayes_factors"]
+
+
+def test_probabilities_are_those_that_set_and_threshold_stand_for() -> None:
+    assert probabilities({"end_gain": -1.0}, NAMED_NATS) == {}
+    alone = probabilities({"end_gain": NAMED_NATS, "stiffness": -2.0}, NAMED_NATS)
+    assert alone == {"end_gain": pytest.approx(0.937, abs=0.001)}
+    assert probabilities({"end_gain": 2.0 * NAMED_NATS}, NAMED_NATS)["end_gain"] > 0.999
+    both = probabilities({"end_gain": 80.0, "stiffness": 80.0, "slack": 80.0 * SET_SHARE}, NAMED_NATS)
+    assert both["end_gain"] == both["stiffness"]
+    assert both["slack"] / both["end_gain"] == pytest.approx(np.exp(-0.5 * 1.96**2), rel=0.01)
+    assert sum(both.values()) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("scale", [0.8, 1.25])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -55,7 +55,7 @@ class Answer:
     """What was said, beside what was hidden; `separation`: χ² of the oracle, None where it was not asked.
 
     `found`: by effect and parameter its `value` and the ends of its interval, `low` and `high`; `values`: the truth;
-    `after`: where the class was left open and the bench runs the experiment by itself.
+    `after`: where the class was left open and the bench runs the experiment by itself.  `nats`: log Bayes factors.
     """
 
     job: Job
@@ -69,6 +69,7 @@ class Answer:
     warnings: tuple[str, ...] = ()
     after: After | None = None
     part: str | None = None
+    nats: dict[str, float] = field(default_factory=dict)
 
     @property
     def counts(self) -> bool:
@@ -181,7 +182,8 @@ def answered(job: Job, made: Case, told: Findings, judged: bool) -> Answer:
                            for n, p in c["parameters"].items()} for c in told.causes}
     apart = separation(made, job) if judged and job.hidden and not job.left_out else None
     return Answer(job, made.bench.structure.implementation, told.verdict, tuple(found), tuple(told.rivals), found,
-                  made.values, apart, tuple(told.warnings), part=told.part)
+                  made.values, apart, tuple(told.warnings), part=told.part,
+                  nats=dict((told.evidence or {}).get("log_bayes_factors", {})))
 
 
 def separation(made: Case, job: Job) -> float:
