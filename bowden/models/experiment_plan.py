@@ -99,6 +99,7 @@ def of_model(model: Path) -> ExperimentPlan:
 
 def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapping[str, float] | None
              ) -> ExperimentPlan:
+    import numpy as np
     from threadpoolctl import threadpool_limits
 
     from diagnosis.evidence import decision
@@ -125,7 +126,7 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
             found = search(observed, reference.prior_of(observed), reference.starts(), feature_sd(reference))
         else:
             tried = (*tried, REPEAT)
-            found = search(pair.observed, pair.prior, (), feature_sd(reference))
+            found = search(pair.observed, pair.prior, (), np.zeros_like(feature_sd(reference)))
         decided = decision.decide(found)
         experiments = predicted_experiments(found, decided.among, reference, tried, walked)
     return ExperimentPlan(decided.verdict, decided.among, tuple(experiments), tried, _by_hand(decided.among))

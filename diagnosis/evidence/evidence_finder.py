@@ -99,7 +99,7 @@ class EvidenceFinder:
             found = search(observed, reference.prior_of(observed), reference.starts(), feature_sd(reference))
         else:
             observed = pair.observed
-            found = search(observed, pair.prior, (), feature_sd(reference))
+            found = search(observed, pair.prior, (), np.zeros_like(feature_sd(reference)))
         decided = self._decided(found)
         bench = self.model.constants.named(reference.bench_coordinates())
         said = list(warnings)

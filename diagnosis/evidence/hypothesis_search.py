@@ -26,7 +26,8 @@ If it is too small, a screen may miss the true effect; the time of a search grow
 class Searched:
     """Modes of one trial: `null`, `single` by effect, and `pair` by best and second effect.
 
-    `amplitude`: 1σ of each feature's weight between benches.  `variants`: the variant that each effect of `single` was
+    `amplitude`: 1σ of each feature's weight between benches, 0 for a pair of identical motion, under which the
+    discrepancy repeats.  `variants`: the variant that each effect of `single` was
     fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since their best
     value is outside their bounds.
     """
