@@ -126,12 +126,12 @@ def error_sentence(errors: Errors, signals: Sequence[str], of_rig: bool = False)
 def gain_sentence(errors: Errors) -> str:
     """Return the sentence on the gain of the named effects over the adapted session."""
     percent, low, high = errors.gain or (0.0, 0.0, 0.0)
-    interval_text = f"95 %: {low:.0f} … {high:.0f}"
+    interval_text = f"95 %: {round(low)} … {round(high)}"
     if low > 0.0:
-        return f"It removes {percent:.0f} % ({interval_text}) of the error with the session adapted."
+        return f"It removes {round(percent)} % ({interval_text}) of the error with the session adapted."
     moved = (f"the session's constants predict them as well, but only {errors.sigma:.0f} σ outside their scatter"
              if not errors.within_scatter() else "the session's constants, within their scatter, predict them as well")
-    return f"It gains nothing on cycles that no fit has seen ({percent:.0f} %, {interval_text}): {moved}."
+    return f"It gains nothing on cycles that no fit has seen ({round(percent)} %, {interval_text}): {moved}."
 
 
 def none_sentence(errors: Errors, of_rig: bool = False) -> str:
