@@ -1,4 +1,4 @@
-"""Sites of the bench at which effects act: where each is, beside which parts, and what to do where it changed."""
+"""Sites of the bench at which effects act: place along the rope and work of the engineer after a change."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 
 class Site(NamedTuple):
-    """One site: its place along the rope, in words, and what an engineer does where an effect is named there."""
+    """One site: place along the rope, in words, and work of the engineer if an effect is named there."""
 
     place: str
     to_do: str
