@@ -114,8 +114,8 @@ def probabilities(gains: Mapping[str, float], least: float) -> dict[str, float]:
     """Return the probability of each effect with a positive log Bayes factor; the rest to 1 is that of no effect.
 
     Model error makes log Bayes factors too large, in proportion to themselves.  So the odds of an effect are normal in
-    its share of the best one, of which the true effect has `SET_SHARE` in 95 %, and those of no effect normal in the
-    best one, of which reference trials reach the threshold `least` in 2 %.
+    its share of the best one: the true effect has at least `SET_SHARE` in 95 %.  The odds of no effect are normal in
+    the best one: reference trials reach the threshold `least` in 2 %.
     """
     seen = {name: gain for name, gain in gains.items() if gain > 0.0}
     if not seen:
