@@ -41,11 +41,23 @@ def start() -> Iterator[Row]:
     yield ("laws compiled on a new machine, s of CPU", f"{first:.1f}", "loaded from the cache", f"{later:.1f}", "–")
 
 
+MEMORY = {
+    "bowden trial": "trial --period 2 --cycles {cycles} -o {at}.mcap", "bowden info": "info {at}.mcap",
+    "bowden report": "report {at}.mcap -o {at}.html", "bowden export, CSV": "export {at}.mcap -o {at}.csv",
+    "bowden export, Parquet": "export {at}.mcap -o {at}.parquet", "bowden export, BLF": "export {at}.mcap -o {at}.blf",
+}
+"""Commands whose memory does not depend on the length of a trial, in the order in which they run."""
+
+
 def memory() -> Iterator[Row]:
-    """Peak memory of a trial of ten minutes, beside one of one."""
-    code = "from benchmarks.performance_rows import simulate; simulate({seconds})"
-    short, long = (_peak_mb([sys.executable, "-c", code.format(seconds=seconds)]) for seconds in (60, 600))
-    yield ("peak memory of a trial of 600 s, MB", f"{long:.0f}", "one of 60 s", f"{short:.0f}", f"{short / long:.2f}")
+    """Peak memory of commands with a trial of 240 s, beside one of 30 s."""
+    command = str(Path(sys.executable).with_name("bowden"))
+    with tempfile.TemporaryDirectory() as folder:
+        for name, line in MEMORY.items():
+            short, long = (peak_mb([command, *line.format(at=f"{folder}/{cycles}", cycles=cycles).split()])
+                           for cycles in (15, 120))
+            yield (f"peak memory of `{name}`, a trial of 240 s, MB", f"{long:.0f}", "one of 30 s", f"{short:.0f}",
+                   f"{short / long:.2f}")
 
 
 ROWS: dict[str, Callable[[], Iterator[Row]]] = {
@@ -64,11 +76,12 @@ def _used(command: list[str], **environment: str) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def _peak_mb(command: list[str]) -> float:
-    code = "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True); " \
+def peak_mb(command: list[str]) -> float:
+    """Return the largest resident memory of a command, MB."""
+    code = "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, stdout=2); " \
            "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
     done = subprocess.run([sys.executable, "-c", code, *command], check=True, capture_output=True, text=True, cwd=ROOT)
-    return int(done.stdout.split()[-1]) / 1024
+    return int(done.stdout) / 1024
 
 
 def main() -> None:

@@ -40,7 +40,7 @@ def one_path(trial: File, path: str) -> File:
         result |= homed.get(path, {})
     others = set(known) - {path}
     stored = {name: old for old in trial.units if (name := of_path(old, path)) is not None}
-    in_memory = {"columns": {name: trial.columns[old] for name, old in stored.items()}} if isinstance(
+    in_memory: dict[str, Any] = {"columns": {name: trial.columns[old] for name, old in stored.items()}} if isinstance(
         trial, Trial) else {}
     return dataclasses.replace(
         trial, **in_memory, stored_names=stored, units={name: trial.units[old] for name, old in stored.items()},

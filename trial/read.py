@@ -139,10 +139,10 @@ class Trial(TrialFile):
     lost_cycles: int = 0
 
     @property
-    def extent(self) -> Extent:  # type: ignore[override]
+    def extent(self) -> Extent:
         """Rows and times."""
-        ends = self.time_ns[[0, -1]].tolist() if len(self.time_ns) else (0, 0)
-        return Extent(len(self.time_ns), *ends, self.lost_cycles)
+        first, last = self.time_ns[[0, -1]].tolist() if len(self.time_ns) else (0, 0)
+        return Extent(len(self.time_ns), first, last, self.lost_cycles)
 
     def blocks(self, names: Iterable[str] | None = None) -> Iterator[RowBlock]:
         """Yield the control cycles in blocks with the columns `names` (None: all)."""

@@ -10,13 +10,13 @@ from bowden.progress import SILENT, Progress
 from parameters import InputError, from_table
 
 if TYPE_CHECKING:
-    from trial.read import Trial
+    from trial.read import TrialFile
 
 PAPER_RMSE_PERCENT = {40.0: 2.53, 50.0: 2.16, 60.0: 2.07}
 """Relative RMSE that the paper's experiment gives by peak, N, its section 5.2."""
 
 
-def write_trial_page(recorded: Trial, path: Path, *, overwrite: bool = False, progress: Progress = SILENT) -> int:
+def write_trial_page(recorded: TrialFile, path: Path, *, overwrite: bool = False, progress: Progress = SILENT) -> int:
     """Write a trial as one HTML page that needs no network; returns its bytes.  Raises `InputError`."""
     from bowden import output_files
     from bowden.pages.load_prediction import frame_bits
@@ -29,7 +29,7 @@ def write_trial_page(recorded: Trial, path: Path, *, overwrite: bool = False, pr
             overwrite=overwrite, progress=update)
 
 
-def _bound(recorded: Trial) -> float | None:
+def _bound(recorded: TrialFile) -> float | None:
     """The sustained load, %, computed for the network that the trial carries with it; None where it has none."""
     from eds.bench import bus_load
     from eds.bench.bench_network import Network, wire
@@ -41,7 +41,7 @@ def _bound(recorded: Trial) -> float | None:
         return None
 
 
-def _published(recorded: Trial) -> dict[str, str]:
+def _published(recorded: TrialFile) -> dict[str, str]:
     """The paper's figures at the same peak."""
     try:
         rmse = PAPER_RMSE_PERCENT.get(float(recorded.metadata.get("peak_n", "")))

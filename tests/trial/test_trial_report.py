@@ -17,7 +17,7 @@ import trial
 from parameters import InputError
 from trial import metrics
 from trial.read import Event
-from trial.report import force_section, labels, trial_page
+from trial.report import labels, overview, trial_page
 from trial.report.page import Page, Series
 
 RATE_HZ = 200
@@ -254,7 +254,7 @@ def test_a_trial_of_ten_minutes_stays_below_ten_megabytes_and_keeps_its_peak(tmp
     long = dataclasses.replace(short, time_ns=time_ns, columns=columns, metadata=METADATA | {"cycles": "300"})
     text = trial_page.build(long, frame_bits, {}, None).html()
     assert len(text) < 10_000_000
-    assert f"every 30 ms ({rows} rows in {force_section.BINS} bins)" in text
+    assert f"every 30 ms ({rows} rows in {overview.BINS} bins)" in text
     force = data(text)["plots"][0]
     at = [series["tip"] for series in force["series"]].index("tension_end_n")
     assert force["series"][at]["label"] == "END (measured)"

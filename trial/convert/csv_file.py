@@ -321,16 +321,26 @@ def _numbers(reading: _Reading, names: Sequence[str], body: Sequence[_Line]) -> 
     if comma:
         reading.said.append("decimal comma")
     joined = "\n".join(line.text for line in body)
-    plain = joined.replace(",", ".") if comma else joined
+    plain = _filled(joined.replace(",", ".") if comma else joined, delimiter)
     try:
         table = np.loadtxt(io.StringIO(plain), delimiter=None if delimiter == " " else delimiter, ndmin=2,
                            comments=None)
         if table.shape == (len(body), len(names)) and not np.isinf(table).any():
             return _Columns(list(np.ascontiguousarray(table.T)), {}, {})
     except ValueError:
-        pass  # an empty, wrong or quoted cell, or a time: cell by cell then
+        pass  # a wrong or quoted cell, a word for an unknown value, or a time: cell by cell then
     rows = _rows(reading, len(names), body)
     return _by_column([list(cells) for cells in zip(*rows, strict=True)], comma)
+
+
+def _filled(text: str, delimiter: str) -> str:
+    """Return rows whose empty cells are nan, as NumPy's reader takes them."""
+    if delimiter == " ":
+        return text
+    text = f"\n{text}\n"
+    for border in (2 * delimiter, 2 * delimiter, f"\n{delimiter}", f"{delimiter}\n"):  # a row of blanks needs both
+        text = text.replace(border, f"{border[0]}nan{border[1]}")
+    return text[1:-1]
 
 
 def _has_decimal_comma(reading: _Reading, body: Sequence[_Line]) -> bool:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from eds import cia301
 from trial.mcap_file import cdr
-from trial.read import Trial
+from trial.read import Trial, TrialFile
 from trial.report.force_section import TIME, chosen, over_time
+from trial.report.overview import COUNTED, INTERVAL, TIMED, Overview, Quantiles
 from trial.report.page import Cell, Page, Series
 from trial.report.setting import TrialSetting, known, seconds
 from trial.signals import PDO_NAMES
@@ -33,39 +34,40 @@ KINDS = (
 )
 
 
-def timing(page: Page, trial: Trial, setting: TrialSetting, *, on_bus: bool = True) -> None:
+def timing(page: Page, seen: Overview, setting: TrialSetting, *, on_bus: bool = True) -> None:
     """Add age and arrival of the PDOs, SYNC, misses and the step's duration; for an imported table, the steps of its
     time.
     """
-    if not on_bus and not _timed(trial):
-        _sampling(page, trial)
+    trial = seen.drawn
+    timed = [name for name in TIMED if known(trial, name) is not None]
+    if not on_bus and set(timed) <= {INTERVAL}:
+        _sampling(page, seen, setting.period_ns)
         return
     page.section("Timing")
-    rows = [_spread(name, trial.columns[name]) for name in _timed(trial)]
-    sync = _sync(trial, setting)
-    if sync is not None and "sync_jitter_ns" not in _timed(trial):
-        rows.append(_spread(*sync))
-    if rows:
-        page.table(("signal (µs)", "least", "median", "99.9 %", "greatest", "unknown rows"), rows)
-    page.facts(_misses(trial))
+    if "sync_jitter_ns" in timed and INTERVAL in timed:
+        timed.remove(INTERVAL)
+    if timed:
+        page.table(("signal (µs)", "least", "median", "99.9 %", "greatest", "unknown rows"),
+                   [_spread(name, seen.spreads[name]) for name in timed])
+    page.facts(_misses(seen))
     for title, ending in (("PDO arrival after SYNC", "arrival"), ("PDO age at the controller's step", "age")):
-        columns = {f"{name}_pdo_{ending}_ns": PDO_COLOURS[name] for name in PDO_NAMES}
-        _timing_plot(page, trial, title, columns)
-    if sync is not None:
-        over_time(page, trial, "SYNC against its nominal time", dict([sync]), "ns")
-    if known(trial, "step_duration_ns") is not None:
-        over_time(page, trial, "Duration of the controller's step", chosen(trial, ["step_duration_ns"]), "ns")
+        _timing_plot(page, trial, title, {f"{name}_pdo_{ending}_ns": PDO_COLOURS[name] for name in PDO_NAMES})
+    for name, title in (("sync_jitter_ns", "SYNC against its nominal time"),
+                        (INTERVAL, "SYNC against its nominal time"),
+                        ("step_duration_ns", "Duration of the controller's step")):
+        if name in timed:
+            over_time(page, trial, title, chosen(trial, [name]), "ns")
 
 
-def _sampling(page: Page, trial: Trial) -> None:
-    """Return a sentence on the regularity of a table's time steps."""
-    if len(trial.time_ns) < 3:
+def _sampling(page: Page, seen: Overview, period_ns: float | None) -> None:
+    """Add the regularity of a table's time steps."""
+    if INTERVAL not in seen.spreads or seen.extent.rows < 3 or period_ns is None:
         return
     page.section("Sampling")
-    steps = np.diff(trial.time_ns) / 1e9
-    middle = float(np.median(steps))
-    page.facts({"rate (Hz)": 1.0 / middle, "median step (s)": middle, "least step (s)": float(steps.min()),
-                "greatest step (s)": float(steps.max()), "steps above 2.5 medians": int((steps > 2.5 * middle).sum())})
+    least, middle, greatest = ((one or 0.0) + period_ns for one in seen.spreads[INTERVAL].at((0.0, 0.5, 1.0)))
+    page.facts({"rate (Hz)": 1e9 / middle, "median step (s)": middle / 1e9, "least step (s)": least / 1e9,
+                "greatest step (s)": greatest / 1e9,
+                "steps above 2.5 medians": seen.spreads[INTERVAL].above(2.5 * middle - period_ns)})
 
 
 def _timing_plot(page: Page, trial: Trial, title: str, colours: dict[str, str]) -> None:
@@ -74,58 +76,59 @@ def _timing_plot(page: Page, trial: Trial, title: str, colours: dict[str, str]) 
         over_time(page, trial, title, columns, "ns", colours=colours)
 
 
-def _timed(trial: Trial) -> list[str]:
-    names = [f"{name}_pdo_{ending}_ns" for ending in ("arrival", "age") for name in PDO_NAMES]
-    return list(chosen(trial, [*names, "sync_jitter_ns", "step_duration_ns"]))
+def _spread(name: str, found: Quantiles) -> list[Cell]:
+    quantiles = found.at((0.0, 0.5, 0.999, 1.0))
+    return [name.removesuffix("_ns"), *(None if one is None else one / 1000 for one in quantiles), found.unknown]
 
 
-def _sync(trial: Trial, setting: TrialSetting) -> tuple[str, Floats] | None:
-    """Return SYNC's jitter as recorded, else the intervals between cycles against the period."""
-    jitter = known(trial, "sync_jitter_ns")
-    if jitter is not None:
-        return "sync_jitter_ns", jitter
-    if setting.period_ns is None or len(trial.time_ns) < 2:
-        return None
-    return "interval between SYNCs − period", np.diff(trial.time_ns, prepend=np.nan) - setting.period_ns
+def _misses(seen: Overview) -> dict[str, Cell]:
+    rows, _, _, lost = seen.extent
+    found: dict[str, Cell] = {"control cycles": rows, "cycles lost in recording": lost}
+    for name, text in zip(COUNTED, ("cycles with missed inputs", "cycles with missed outputs",
+                                    "cycles that held their targets"), strict=True):
+        found[text] = seen.counts.get(name, "not recorded")
+    return found
 
 
-def _spread(name: str, column: Floats) -> list[Cell]:
-    good = column[np.isfinite(column)] / 1000
-    figures = np.quantile(good, (0.0, 0.5, 0.999, 1.0)).tolist() if len(good) else [None] * 4
-    return [name.removesuffix("_ns"), *figures, len(column) - len(good)]
-
-
-def _misses(trial: Trial) -> dict[str, Cell]:
-    told: dict[str, Cell] = {"control cycles": len(trial.time_ns), "cycles lost in recording": trial.lost_cycles}
-    for name, text in (("missed_inputs", "cycles with missed inputs"), ("missed_outputs", "cycles with missed outputs"),
-                       ("held", "cycles that held their targets")):
-        column = known(trial, name)
-        told[text] = "not recorded" if column is None else int(np.count_nonzero(column > 0))
-    return told
-
-
-def load(page: Page, trial: Trial, frame_bits: FrameBits, bound_percent: float | None) -> None:
+def load(page: Page, trial: TrialFile, frame_bits: FrameBits, bound_percent: float | None) -> None:
     """Add the bus load in steps of 100 ms, by kind of frame; nothing where no bus was recorded."""
-    if not len(trial.frames):
+    sums: dict[str, Floats] = {}
+    every, counted, first_ns = 0, 0, 0
+    for block in trial.frame_blocks():
+        every += len(block)
+        frames = block[block["flags"] & cdr.ERROR == 0]
+        if len(frames):
+            first_ns = first_ns if counted else int(frames["time_ns"].min())
+            counted += len(frames)
+            window, bits = ((frames["time_ns"] - first_ns) // WINDOW_NS).clip(0), frame_bits(frames)
+            for name, _, rows in [*_kinds(frames["can_id"]), ("all frames", "", np.ones(len(frames), bool))]:
+                if rows.any():
+                    sums[name] = _added(sums.get(name, np.empty(0)), np.bincount(window[rows], bits[rows]))
+    if not every:
         return
     page.section("Bus load")
-    frames = trial.frames[trial.frames["flags"] & cdr.ERROR == 0]
-    if not len(frames):
+    if not counted:
         page.text("No CAN frames were recorded.", "note")
         return
-    bitrate = _bitrate(trial)
+    bitrate, windows = _bitrate(trial), len(sums["all frames"])
     scale, unit = (1e-3, "kbit/s") if bitrate is None else (100.0 / bitrate, "% of the bus")
-    bits, window = frame_bits(frames), (frames["time_ns"] - frames["time_ns"].min()) // WINDOW_NS
-    along = seconds(trial, frames["time_ns"].min() + np.arange(int(window.max()) + 1) * WINDOW_NS)
-    series = [Series(name, _sum(window, np.where(rows, bits, 0)) * scale, colour, steps=True)
-              for name, colour, rows in _kinds(frames["can_id"]) if rows.any()]
-    total = Series("all frames", _sum(window, bits) * scale, "#30363f", steps=True, width=1.6)
+    along = seconds(trial, first_ns + np.arange(windows) * WINDOW_NS)
+    series = [Series(name, _per_second(sums[name], windows) * scale, colour, steps=True)
+              for name, colour, _ in KINDS if name in sums]
+    total = Series("all frames", _per_second(sums["all frames"], windows) * scale, "#30363f", steps=True, width=1.6)
     bound = [] if bitrate is None or bound_percent is None else [
         Series("computed bound", np.full(len(along), bound_percent), "#b3261e", dash=True)]
     speed = "" if bitrate is None else f" at {bitrate / 1000:g} kbit/s"
-    page.text(f"{len(frames)} frames{speed}; bits as sent, with stuffing and interframe space. Error frames are not "
+    page.text(f"{counted} frames{speed}; bits as sent, with stuffing and interframe space. Error frames are not "
               "counted.", "note")
     page.plot("Load over 100 ms", along, [total, *series, *bound], f"{TIME} (s)", unit, linked=TIME)
+
+
+def _added(one: Floats, other: Floats) -> Floats:
+    """Return the sum of two arrays; the shorter one is followed by zeros."""
+    longer, shorter = (one, other) if len(one) >= len(other) else (other.astype(np.float64), one)
+    longer[:len(shorter)] += shorter
+    return longer
 
 
 def _kinds(can_id: NDArray[np.uint32]) -> list[tuple[str, str, NDArray[np.bool_]]]:
@@ -139,14 +142,14 @@ def _kinds(can_id: NDArray[np.uint32]) -> list[tuple[str, str, NDArray[np.bool_]
     return found
 
 
-def _sum(window: NDArray[np.int64], bits: NDArray[np.int64]) -> Floats:
+def _per_second(bits: Floats, windows: int) -> Floats:
     """Return bit/s by window; unknown in the last of several, which the end of the recording cuts."""
-    found = np.bincount(window, bits) * (1e9 / WINDOW_NS)
-    if len(found) > 1:
+    found = _added(np.zeros(windows), bits) * (1e9 / WINDOW_NS)
+    if windows > 1:
         found[-1] = np.nan
-    return np.asarray(found, np.float64)
+    return found
 
 
-def _bitrate(trial: Trial) -> int | None:
+def _bitrate(trial: TrialFile) -> int | None:
     text = trial.metadata.get("bitrate", "")
     return int(text) if text.isdecimal() and int(text) else None

@@ -13,7 +13,8 @@ import numpy as np
 from trial import metrics
 from trial.compare import FieldDifference, TrialComparison, aligned
 from trial.read import Trial
-from trial.report.force_section import BINS, FORCE, MOTION
+from trial.report.force_section import FORCE, MOTION
+from trial.report.overview import BINS
 from trial.report.packing import broken, thinned
 from trial.report.page import Cell, Page, Series, Tile, number
 from trial.report.setting import known, setting

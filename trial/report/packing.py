@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Number = TypeVar("Number", bound=np.generic)
 
 
 def thinned(x: Floats, columns: Sequence[Floats], bins: int) -> tuple[Floats, list[Floats]]:
@@ -24,19 +26,22 @@ def thinned(x: Floats, columns: Sequence[Floats], bins: int) -> tuple[Floats, li
         return x, list(columns)
     first = np.unique(np.searchsorted(x, np.linspace(x[0], x[-1], bins + 1)[:-1]))
     last = np.append(first[1:], len(x)) - 1
-    return _interleaved(x[first], x[last]), [_extremes(column, first, last) for column in columns]
+    return interleaved(x[first], x[last]), [extremes(column, first, last) for column in columns]
 
 
-def _extremes(column: Floats, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
-    low, high = np.fmin.reduceat(column, first), np.fmax.reduceat(column, first)
-    falls = column[first] > column[last]
-    return _interleaved(np.where(falls, high, low), np.where(falls, low, high))
+def extremes(values: Floats, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
+    """Return least and greatest value of each bin, interleaved in the order in which the bin rises or falls.
+
+    `first`, `last`: ends of the bins along the last axis of `values`, shape (…, rows).
+    """
+    low, high = np.fmin.reduceat(values, first, axis=-1), np.fmax.reduceat(values, first, axis=-1)
+    falls = values[..., first] > values[..., last]
+    return interleaved(np.where(falls, high, low), np.where(falls, low, high))
 
 
-def _interleaved(one: Floats, other: Floats) -> Floats:
-    both = np.empty(2 * len(one))
-    both[::2], both[1::2] = one, other
-    return both
+def interleaved(one: NDArray[Number], other: NDArray[Number]) -> NDArray[Number]:
+    """Return the entries of two arrays in turns along the last axis."""
+    return np.stack([one, other], axis=-1).reshape(*one.shape[:-1], -1)
 
 
 def broken(x: Floats, columns: Sequence[Floats], gap: float) -> tuple[Floats, list[Floats]]:

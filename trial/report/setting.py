@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trial.read import Trial
+from trial.read import Trial, TrialFile
 from trial.signals import SIGNALS
 
 Floats = NDArray[np.float64]
@@ -34,10 +34,12 @@ class TrialSetting:
         return None if self.rate_hz is None else 1e9 / self.rate_hz
 
 
-def setting(trial: Trial) -> TrialSetting:
+def setting(trial: TrialFile) -> TrialSetting:
     """Return the setting of a trial, one's own or an imported one."""
     stated = {name: _figure(trial.metadata.get(name)) for name in ("peak_n", "rate_hz", "cycles", "settle")}
-    measured = {"peak_n": _peak(trial), "rate_hz": _rate(trial), "cycles": _cycles(trial), "settle": None}
+    readers = {"peak_n": _peak, "rate_hz": _rate, "cycles": _cycles}
+    measured = {name: readers[name](trial) if value is None and name in readers else None
+                for name, value in stated.items()}
     found = {name: measured[name] if value is None else value for name, value in stated.items()}
     cycles = int(found["cycles"] or 0)
     settle = int(SETTLE if found["settle"] is None else found["settle"])
@@ -56,9 +58,9 @@ def unknown(trial: Trial) -> list[str]:
     return [signal.name for signal in SIGNALS if known(trial, signal.name) is None]
 
 
-def seconds(trial: Trial, time_ns: NDArray[np.int64]) -> Floats:
-    """Return times as seconds from the trial's first control cycle, or from its first frame where it has none."""
-    first = int(trial.time_ns[0]) if len(trial.time_ns) else int(time_ns.min(initial=0))
+def seconds(trial: TrialFile, time_ns: NDArray[np.int64]) -> Floats:
+    """Return times as seconds from the trial's first control cycle, or from the first of them where it has none."""
+    first = trial.extent.first_ns if trial.extent.rows else int(time_ns.min(initial=np.iinfo(np.int64).max))
     return (time_ns - first) / 1e9
 
 
@@ -70,16 +72,22 @@ def _figure(text: str | None) -> float | None:
     return value if np.isfinite(value) and value >= 0 else None
 
 
-def _peak(trial: Trial) -> float | None:
-    desired = known(trial, "desired_force_n")
-    peak = 0.0 if desired is None else float(np.nanmax(desired))
-    return peak or None
+def _peak(trial: TrialFile) -> float | None:
+    return _greatest(trial, "desired_force_n") or None
 
 
-def _rate(trial: Trial) -> float | None:
-    return 1e9 / float(np.median(np.diff(trial.time_ns))) if len(trial.time_ns) > 1 else None
+def _rate(trial: TrialFile) -> float | None:
+    block = next(trial.blocks([]), None)
+    return None if block is None or len(block.time_ns) < 2 else 1e9 / float(np.median(np.diff(block.time_ns)))
 
 
-def _cycles(trial: Trial) -> float | None:
-    cycle = known(trial, "cycle")
-    return None if cycle is None else max(float(np.nanmax(cycle)) + 1, 0.0)
+def _cycles(trial: TrialFile) -> float | None:
+    greatest = _greatest(trial, "cycle")
+    return None if greatest is None else max(greatest + 1, 0.0)
+
+
+def _greatest(trial: TrialFile, name: str) -> float | None:
+    """Return the greatest value of a column, None without any."""
+    found = [float(np.nanmax(columns[name])) for _, columns in trial.blocks([name] if name in trial.units else [])
+             if name in columns and np.isfinite(columns[name]).any()]
+    return max(found, default=None)

@@ -9,9 +9,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from trial import metrics, paths
-from trial.read import Trial
+from trial.read import Extent, TrialFile
 from trial.report import bus_section, force_section, labels
 from trial.report.bus_section import FrameBits
+from trial.report.overview import BINS, PHASE_BINS, Overview, overview
 from trial.report.page import UNKNOWN, Cell, Page, Tile, number
 from trial.report.setting import TrialSetting, known, setting, unknown
 from trial.report.words import quantity, words
@@ -22,13 +23,13 @@ FIGURES = (
     ("max_idle_tension_n", "N", "largest END tension while none is wanted"),
     ("peak_jump_n", "N", "largest jump of END over 20 ms at the peak"),
 )
-NEEDED = ("gait_percent", "cycle", "desired_force_n", "tension_end_n")
+NEEDED = metrics.NEEDED
 SAID = ("outcome", "stop_reason", "warning")  # of the result, said above the others
 FOLDED = ("bench.toml", "calibration.toml", "packages.txt")  # attachments in this order, then the others
 
 
 def write(
-    trial: Trial, path: str | Path, frame_bits: FrameBits, *, published: Mapping[str, str] | None = None,
+    trial: TrialFile, path: str | Path, frame_bits: FrameBits, *, published: Mapping[str, str] | None = None,
     bound_percent: float | None = None, overwrite: bool = False, progress: Callable[[float], None] = lambda share: None,
 ) -> int:
     """Write the report of `trial`, of all its force paths, as one HTML file; returns its bytes. Raises `InputError`.
@@ -41,19 +42,20 @@ def write(
 
 
 def build(
-    trial: Trial, frame_bits: FrameBits, published: Mapping[str, str], bound_percent: float | None,
+    trial: TrialFile, frame_bits: FrameBits, published: Mapping[str, str], bound_percent: float | None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Page:
     """Return the page of a trial; of a table that was imported, without what only a bus can show."""
-    judged = setting(trial)
-    page = _head(trial)
+    judged, page = setting(trial), _head(trial)
+    frames = sum(map(len, trial.frame_blocks()))
+    seen = overview(trial, judged)
     parts: tuple[Callable[[], None], ...] = (
-        *_signals(page, trial, published),
-        lambda: bus_section.timing(page, trial, judged, on_bus=bool(len(trial.frames))),
+        *_signals(page, trial, seen, frames, published),
+        lambda: bus_section.timing(page, seen, judged, on_bus=bool(frames)),
         lambda: bus_section.load(page, trial, frame_bits, bound_percent),
-        lambda: _events(page, trial),
+        lambda: _events(page, trial, frames),
         lambda: _carried(page, trial),
-        lambda: _reading(page, trial),
+        lambda: _reading(page, seen.extent),
     )
     for done, part in enumerate(parts, start=1):
         part()
@@ -61,29 +63,35 @@ def build(
     return page
 
 
-def _signals(page: Page, trial: Trial, published: Mapping[str, str]) -> list[Callable[[], None]]:
+def _signals(
+    page: Page, trial: TrialFile, seen: Overview, frames: int, published: Mapping[str, str]
+) -> list[Callable[[], None]]:
     """Return what adds summary, force, motion and other signals; of several force paths for each of them."""
-    names = paths.names(trial)
     parts: list[Callable[[], None]] = []
-    for name in names or ("",):
-        parts += _of_path(page, paths.one_path(trial, name) if name else trial, f"{name}: " if name else "", published)
+    for name in paths.names(trial) or ("",):
+        one = paths.one_path(trial, name) if name else trial
+        judged = setting(one)
+        parts += _of_path(page, one, overview(one, judged) if name else seen, judged, frames if one.has_frames else 0,
+                          f"{name}: " if name else "", published)
     return parts
 
 
-def _of_path(page: Page, one: Trial, prefix: str, published: Mapping[str, str]) -> list[Callable[[], None]]:
-    judged = setting(one)
-
+def _of_path(
+    page: Page, one: TrialFile, seen: Overview, judged: TrialSetting, frames: int, prefix: str,
+    published: Mapping[str, str],
+) -> list[Callable[[], None]]:
     def begin() -> None:
         page.prefix = prefix
 
     def end() -> None:
         page.prefix = ""
 
-    return [begin, lambda: _summary(page, one, judged, published), lambda: force_section.force(page, one, judged),
-            lambda: force_section.motion(page, one), lambda: force_section.others(page, one), end]
+    return [begin, lambda: _summary(page, one, seen, judged, frames, published),
+            lambda: force_section.force(page, one, seen, judged),
+            lambda: force_section.motion(page, seen.drawn), lambda: force_section.others(page, seen.drawn), end]
 
 
-def _head(trial: Trial) -> Page:
+def _head(trial: TrialFile) -> Page:
     told, result = trial.metadata, trial.result
     title = " ".join(("Trial", trial.path.name))
     bus = told.get("bus", "")
@@ -102,7 +110,9 @@ def _of(told: Mapping[str, str], name: str, unit: str) -> str:
     return f"{told[name].removesuffix('.0')} {unit}" if name in told else ""
 
 
-def _summary(page: Page, trial: Trial, judged: TrialSetting, published: Mapping[str, str]) -> None:
+def _summary(
+    page: Page, trial: TrialFile, seen: Overview, judged: TrialSetting, frames: int, published: Mapping[str, str]
+) -> None:
     page.section("Summary")
     result = trial.result or {}
     if result.get("stop_reason"):
@@ -113,24 +123,23 @@ def _summary(page: Page, trial: Trial, judged: TrialSetting, published: Mapping[
         page.text("The recording has no result: it was cut off, or is not finished.", "warning")
     if trial.recovered is not None:
         page.text("Recovered from a torn recording; control cycles may be missing.", "warning")
-    _figures(page, trial, judged, published)
-    seconds = (int(trial.time_ns[-1]) - int(trial.time_ns[0])) / 1e9 if len(trial.time_ns) else None
+    _figures(page, trial, seen, judged, published)
+    rows, first_ns, last_ns, _ = seen.extent
+    seconds = (last_ns - first_ns) / 1e9 if rows else None
     told = {**trial.metadata, **{name: value for name, value in result.items() if name not in SAID}}
-    page.facts({**{name: _cell(value) for name, value in labels.shown(told).items()}, **_counted(trial),
-                "recorded time": quantity(seconds, "s")})
+    page.facts({**{name: _cell(value) for name, value in labels.shown(told).items()},
+                **_counted(rows, frames, len(trial.events)), "recorded time": quantity(seconds, "s")})
     rest = labels.folded(told)
     if rest:
         page.attachment("commit, digests and homing", "".join(f"{name}: {_cell(one)}\n" for name, one in rest.items()))
-    missing = unknown(trial)
+    missing = unknown(seen.drawn)
     if missing:
         page.text(f"Not in this trial: {', '.join(dict.fromkeys(map(words, missing)))}.", "note")
 
 
-def _counted(trial: Trial) -> dict[str, Cell]:
+def _counted(rows: int, frames: int, events: int) -> dict[str, Cell]:
     """Count what there is: rows of a table, or cycles, frames and events of a bus."""
-    if not len(trial.frames):
-        return {"rows": len(trial.time_ns)}
-    return {"control cycles": len(trial.time_ns), "CAN frames": len(trial.frames), "events": len(trial.events)}
+    return {"control cycles": rows, "CAN frames": frames, "events": events} if frames else {"rows": rows}
 
 
 def _cell(value: object) -> Cell:
@@ -143,14 +152,17 @@ def _cell(value: object) -> Cell:
     return value if isinstance(value, str | int | float | None) else str(value)
 
 
-def _figures(page: Page, trial: Trial, judged: TrialSetting, published: Mapping[str, str]) -> None:
-    lacking = [name for name in NEEDED if known(trial, name) is None]
+def _figures(
+    page: Page, trial: TrialFile, seen: Overview, judged: TrialSetting, published: Mapping[str, str]
+) -> None:
+    lacking = [name for name in NEEDED if known(seen.drawn, name) is None]
     if lacking or judged.peak_n is None or judged.rate_hz is None or not judged.cycles:
         unknown_names = ", ".join(map(words, lacking)) or "peak, rate or gait cycles"
         page.text(f"No figures of force: {unknown_names} not known.", "note")
         return
-    found = metrics.figures(trial.columns, peak_n=judged.peak_n, rate_hz=judged.rate_hz, cycles=judged.cycles,
-                            settle=judged.settle)
+    found = metrics.figures_of_blocks(
+        lambda: (block.columns for block in trial.blocks(NEEDED)), peak_n=judged.peak_n, rate_hz=judged.rate_hz,
+        cycles=judged.cycles, settle=judged.settle)
     page.tiles([Tile(number(found[name], 3), unit if found[name] is not None else "",
                      text, f"paper: {published[name]}" if name in published else "")
                 for name, unit, text in FIGURES])
@@ -160,20 +172,20 @@ def _figures(page: Page, trial: Trial, judged: TrialSetting, published: Mapping[
               + (f" Read off the columns: {', '.join(judged.read_off)}." if judged.read_off else ""), "note")
 
 
-def _events(page: Page, trial: Trial) -> None:
-    if not trial.events and not len(trial.frames):
+def _events(page: Page, trial: TrialFile, frames: int) -> None:
+    if not trial.events and not frames:
         return
     page.section("Events")
     if not trial.events:
         page.text("No events were recorded.", "note")
         return
-    first = int(trial.time_ns[0]) if len(trial.time_ns) else trial.events[0].time_ns
+    first = trial.extent.first_ns if trial.extent.rows else trial.events[0].time_ns
     page.table(("time (s)", "kind", "source", "text"), [
         (f"{(event.time_ns - first) / 1e9:.6f}".replace("-", "−"), event.kind, event.source, event.text)
         for event in trial.events], tall=len(trial.events) > 15)
 
 
-def _carried(page: Page, trial: Trial) -> None:
+def _carried(page: Page, trial: TrialFile) -> None:
     if not trial.attachments and not trial.metadata.get("commit"):
         return
     page.section("Configuration, calibration, software")
@@ -186,16 +198,17 @@ def _carried(page: Page, trial: Trial) -> None:
         page.text("The trial carries no files.", "note")
 
 
-def _reading(page: Page, trial: Trial) -> None:
+def _reading(page: Page, extent: Extent) -> None:
     page.section("How to read it")
-    rows, bins = len(trial.time_ns), force_section.BINS
+    rows, first_ns, last_ns, _ = extent
+    bins = BINS
     if rows > 2 * bins:
-        span = (int(trial.time_ns[-1]) - int(trial.time_ns[0])) / 1e6 / bins
+        span = (last_ns - first_ns) / 1e6 / bins
         thinning = (f"Plots over time draw the least and greatest of every {span:.3g} ms ({rows} rows in {bins} bins): "
                     "no peak is lost; order within a bin and gaps shorter than it are.")
     else:
         thinning = f"Plots over time draw every one of the {rows} rows."
     page.text(f"{thinning} Against the phase, a gait cycle is drawn by least and greatest of up to "
-              f"{force_section.PHASE_BINS} bins. Figures are computed from every row.", "note")
+              f"{PHASE_BINS} bins. Figures are computed from every row.", "note")
     page.text(f"A name's column in the file is in its tooltip, SI there; {UNKNOWN} is unknown. Time counts from the "
               "first control cycle, so bring-up is negative. A line breaks where rows are missing.", "note")

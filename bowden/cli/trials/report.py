@@ -27,12 +27,11 @@ def report(
     """
     from bowden.pages import reports
     from bowden.trials.force_paths import opened
-    from trial import read
 
     output_files.refuse([output], overwrite=overwrite, inputs=[trial])
     output_files.refuse_ending(output, ".html", ".htm", what="a page")
     with terminal.waiting(f"reading {trial}", shown=not json):
-        recorded = read.whole(opened(trial, path, whole=True))
+        recorded = opened(trial, path, whole=True)
     size = reports.write_trial_page(recorded, output, overwrite=overwrite,
                                     progress=terminal.Terminal(shown=not json))
     terminal.emit({"report": str(output), "bytes": size}) if json else print(f"{output}: {size / 1e6:.1f} MB.")
