@@ -1,4 +1,4 @@
-"""One measured signal of one trial with its errors under two models: without and with the effects found."""
+"""One measured signal of one trial with its errors under three models: reference, session adapted, with effects."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ from physics.laws import Array
 class Compared:
     """A measured signal and its residuals, measured less simulated, in `unit`, each of shape (samples,).
 
-    `output`: name of the signal.  `before`: residual of the reference condition.  `after`: residual with the effects
-    found.  `signals`: other columns at the same samples.  `cycle`: number of the gait cycle.
+    `output`: name of the signal.  `before`: residual of the reference condition.  `session`: residual with the
+    session's constants adapted.  `after`: residual with the effects found, too.  `signals`: other columns at the same
+    samples.  `cycle`: number of the gait cycle.
     """
 
     output: str
     unit: str
     measured: Array
     before: Array
+    session: Array
     after: Array
     cycle: NDArray[np.intp]
     signals: Mapping[str, Array]

@@ -105,16 +105,17 @@ class HeldOut:
         return np.array(rows)
 
     def traces(self, tables: Sequence[Table]) -> dict[str, list[Compared]]:
-        """Return measured signals with two errors by output, one entry per trial: of the first and the last model."""
+        """Return measured signals with their errors under each model by output, one entry per trial."""
         made: dict[str, list[Compared]] = {name: [] for name in self.observed.outputs}
-        last = self.session if self.named is None else self.named
-        sides = zip(self.observed.each(self.reference), self.observed.each(last), tables, self.blocks, strict=True)
-        for (trial, before), (_, after), table, block in sides:
-            errors = self.observed.model.errors
-            told, along = (errors(trial, before), errors(trial, after)), _along(trial, table)
+        models = (self.reference, self.session, self.session if self.named is None else self.named)
+        sides = zip(*map(self.observed.each, models), tables, self.blocks, strict=True)
+        for *predicted, table, block in sides:
+            trial = predicted[0][0]
+            errors = [self.observed.model.errors(trial, rest) for _, rest in predicted]
+            along = _along(trial, table)
             for name in made:
                 made[name].append(Compared(name, self.observed.model.signals[name], trial.binned(trial.measured(name)),
-                                           told[0][name], told[1][name], block, along))
+                                           *(error[name] for error in errors), block, along))
         return made
 
 

@@ -5,6 +5,7 @@ The page only shows the findings of the diagnosis; each figure has its unit.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -14,8 +15,10 @@ from diagnosis.report import figure_tables, plots, residual_picture, tracking
 from diagnosis.report.headline import headline, interval
 from diagnosis.report.plots import AFTER, BEFORE
 from diagnosis.report.residuals import where
+from eds.declaration import ForcePath, packaged
 from estimation.data.table import Table
 from physics.effects.catalogue import CATALOGUE
+from trial import read
 from trial.report import bench_drawing
 from trial.report.page import Page, Tile, number
 
@@ -85,9 +88,10 @@ def _first(page: Page, found: Findings, trials: Sequence[Table]) -> None:
     page.text(lead, "lead")
     if found.verdict != "refused":
         sites = {cause["site"] for cause in found.causes} or {CATALOGUE[name].site for name in found.rivals}
-        page.drawing("The rig by its columns" if found.of_rig else "The bench by its columns",
-                     bench_drawing.svg({name for trial in trials for name in trial.columns}, sites,
-                                       of_rig=found.of_rig))
+        recorded = {name for trial in trials for name in trial.columns}
+        title, parts = ("The rig by its columns", bench_drawing.parts_of_rig(recorded)) if found.of_rig else (
+            "The bench as declared", bench_drawing.parts_of(_declared_path(trials[0])))
+        page.drawing(title, bench_drawing.svg(parts, recorded, sites))
         if not found.candidates:
             residual_picture.loop_section(page, found, trials[0].turning)
     figure_tables.errors(page, found)
@@ -97,6 +101,15 @@ def _first(page: Page, found: Findings, trials: Sequence[Table]) -> None:
     page.heading("What to do")
     for sentence in todo or [_next(found)]:
         page.text(sentence)
+
+
+def _declared_path(table: Table) -> ForcePath:
+    """Return the force path of the bench that a trial carries; of a table, that of the paper's bench."""
+    source = Path(table.source)
+    carried = read.open_file(source).attachments if source.suffix == ".mcap" and source.exists() else {}
+    rows = tomllib.loads(carried.get("bench.toml", b"").decode()).get("force_path")
+    paths = [ForcePath(**row) for row in rows] if rows else packaged().force_paths
+    return next((path for path in paths if path.name == table.joint), paths[0])
 
 
 def _next(found: Findings) -> str:

@@ -18,12 +18,13 @@ from trial.report.words import words
 
 
 def errors(page: Page, found: Findings) -> None:
-    """Add the errors of each compared signal: between reference trials, of the reference condition, and as named."""
+    """Add the errors of each compared signal: between reference trials, and of this trial under each model."""
     if not found.relations or found.candidates:
         return
     page.heading("Error of the simulation, RMS on cycles that no fit has seen")
-    columns = ("signal", "unit", "reference trials", "this trial, reference condition", "with what is named")
-    rows = [(Named(words(name), name), f.unit, f.floor, f.rmse_before, f.rmse_after)
+    columns = ("signal", "unit", "reference trials", "this trial, reference condition", "session adapted",
+               "with what is named")
+    rows = [(Named(words(name), name), f.unit, f.floor, f.rmse_before, f.rmse_session, f.rmse_after)
             for name, f in found.relations.items()]
     count = len(columns) if found.causes else len(columns) - 1
     page.table(columns[:count], [row[:count] for row in rows])

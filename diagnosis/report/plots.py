@@ -16,7 +16,7 @@ from trial.report.packing import broken
 from trial.report.page import Page, Series
 from trial.report.words import hand, words
 
-BEFORE, AFTER, MEASURED = "#c2410c", "#2563eb", "#6b7280"
+BEFORE, ADAPTED, AFTER, MEASURED = "#c2410c", "#15803d", "#2563eb", "#6b7280"
 SIDES: Final = (("gait_percent", "gait phase", "%"), ("tension_start_n", "START", "N"),
                 ("knee_angle_rad", "knee angle", "rad"), ("servo_position_m", "rope", "m"), ("time_s", "time", "s"))
 """Signals along which residuals are plotted: name, words, unit."""

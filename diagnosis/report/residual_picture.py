@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from diagnosis.compared_signals import Compared
 from diagnosis.findings import Findings
 from diagnosis.report.headline import strongest
-from diagnosis.report.plots import AFTER, BEFORE, MEASURED
+from diagnosis.report.plots import ADAPTED, AFTER, BEFORE, MEASURED
 from diagnosis.report.residuals import binned, bins_of, joined
 from trial.report.loop import Loop, picture
 from trial.report.page import Page, Series
@@ -26,6 +26,7 @@ ALONG: Final = (("gait_percent", "%", "gait phase"), ("servo_position_m", "m", "
 FORCES: Final = ("tension_start_n", "servo_force_n", "tension_end_n")
 """Outputs whose loop is drawn, the first one that was compared."""
 REFERENCE, NAMED = "simulated: reference condition", "simulated: with what is named"
+SESSION = "simulated: session adapted"
 
 
 class MeanResidual(NamedTuple):
@@ -84,13 +85,13 @@ def loop_section(page: Page, found: Findings, turning: bool = False) -> None:
     unit = "N" if over == "tension_end_n" else "rad" if turning else "m"
     shown, factor = hand(unit)
     across, up = ("position" if turning else words(over)), words(name)
-    sides = (("measured", MEASURED, 4.5), (REFERENCE, BEFORE, 1.8), (NAMED, AFTER, 1.8))
+    sides = (("measured", MEASURED, 4.5), (REFERENCE, BEFORE, 1.8), (SESSION, ADAPTED, 1.8), (NAMED, AFTER, 1.8))
     page.heading(f"The loop: {up} over {across}")
     page.text("Friction opens the loop, a gain turns it, an offset shifts it."
               + (" The mean gait cycle." if _walks(parts) else ""), "note")
     page.drawing(f"{up} over {across}", picture(
         [Loop(label, factor * x, line, colour, width) for (label, colour, width), line in zip(
-            sides if found.causes else sides[:2], lines, strict=False)],
+            sides if found.causes else sides[:3], lines, strict=False)],
         f"{across} ({shown})", f"{up} ({parts[0].unit})", f"{up} over {across}"))
 
 
@@ -100,26 +101,27 @@ def _walks(parts: Sequence[Compared]) -> bool:
     return bool(np.isfinite(phase).all()) and float(np.ptp(phase)) > 0.0
 
 
-def _cycle(parts: Sequence[Compared], over: str, most: int = 1500) -> tuple[Array, Array, Array, Array]:
-    """Return a signal, and the measured output and both simulated ones along it, in the order of time.
+def _cycle(parts: Sequence[Compared], over: str, most: int = 1500) -> list[Array]:
+    """Return a signal, and the measured output and the three simulated ones along it, in the order of time.
 
     They are means over the gait phase, closed; without a gait, the first `most` samples of the first trial.
     """
     if not _walks(parts):
         first, end = parts[0], min(most, parts[0].measured.size)
-        return (first.along(over)[:end], first.measured[:end], (first.measured - first.before)[:end],
-                (first.measured - first.after)[:end])
+        return [values[:end] for values in (first.along(over), *_lines(first))]
     phase, x = (np.concatenate([p.along(name) for p in parts]) for name in ("gait_percent", over))
-    measured, before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in (
-        "measured", "before", "after"))
+    lines = map(np.concatenate, zip(*map(_lines, parts), strict=True))
     bins = max(1, min(200, phase.size // 3))
     place = np.clip((phase / 100.0 * bins).astype(np.intp), 0, bins - 1)
     count = np.bincount(place, minlength=bins)
     full = count > 0
-    means = [np.bincount(place, values, bins)[full] / count[full]
-             for values in (x, measured, measured - before, measured - after)]
-    a, b, c, d = (np.append(mean, mean[0]) for mean in means)
-    return a, b, c, d
+    means = [np.bincount(place, values, bins)[full] / count[full] for values in (x, *lines)]
+    return [np.append(mean, mean[0]) for mean in means]
+
+
+def _lines(one: Compared) -> tuple[Array, Array, Array, Array]:
+    """Return the measured output, and the simulated ones of the reference, the adapted session and what is named."""
+    return one.measured, one.measured - one.before, one.measured - one.session, one.measured - one.after
 
 
 def residual(found: Findings, turning: bool = False) -> MeanResidual | None:

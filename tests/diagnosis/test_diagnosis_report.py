@@ -48,7 +48,7 @@ def traced(measured: Table, name: str, slack: float) -> Compared:
     before = slack * np.tanh(speed / 1e-3) * measured[name] / 20.0
     along = {n: measured[n][keep] for n in ("time_s", "gait_percent", "knee_angle_rad", "servo_position_m",
                                             "tension_start_n", "tension_end_n")}
-    return Compared(name, "N", measured[name][keep], before[keep], 0.25 * before[keep],
+    return Compared(name, "N", measured[name][keep], before[keep], 0.9 * before[keep], 0.25 * before[keep],
                     measured["cycle"][keep].astype(np.intp), {**along, "rope_m_s": speed[keep]})
 
 
@@ -289,12 +289,12 @@ def test_the_changed_part_is_marked_and_nothing_is_drawn_twice(found: Findings, 
         box => box.getAttribute('stroke-width') > 2).map(box => box.parentNode.querySelector('text').textContent)""")
     assert red == ["cable"]
     lines = "[...document.querySelectorAll('svg.loop path[fill=none]')].map(line => line.getBoundingClientRect().width)"
-    assert len(browser.run(lines)) == 3
+    assert len(browser.run(lines)) == 4
     assert min(browser.run(lines)) > 200
     nothing = dataclasses.replace(found, verdict="none", causes=[], rivals=[], experiment=None)
     write(nothing, [measured], [], tmp_path / "b.html")
     browser.open(tmp_path / "b.html")
-    assert len(browser.run(lines)) == 2
+    assert len(browser.run(lines)) == 3
     assert "with what is named" not in browser.run("document.body.innerText")
 
 

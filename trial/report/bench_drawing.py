@@ -1,7 +1,7 @@
-"""Drawing of a bench or rig by its recorded signals, with the part that changed marked.
+"""Drawing of a bench as declared, or of a rig by its recorded signals, with the part that changed marked.
 
-A bench is a rope from a servo's drum over START, cable, fabric and knee to END.  A rig has the parts that its columns
-measure.  A part whose signal is not recorded is dashed.
+A bench is a rope from a servo's drum over START, cable, fabric and knee to END, without the load cells that its
+declaration leaves out.  A rig has the parts that its columns measure.  A part whose signal is not recorded is dashed.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from html import escape
 from typing import Final, NamedTuple
+
+from eds.declaration import ForcePath
 
 WIDTH, TOP, BOX_HEIGHT, GAP = 900, 34, 58, 18
 INK, SOFT, PAPER, CHANGED = "#1d2430", "#5b6675", "#ffffff", "#b3261e"
@@ -39,25 +41,31 @@ BENCH: Final = (
     _part("knee", "angle", "knee_angle_rad", "knee drive, leg"),
     _part("END", "load cell", "tension_end_n", "END sensor"),
 )
+_DRIVE, _DRUM, _START, _CABLE, _FABRIC, _KNEE, _END = BENCH
 RIG: Final = (
-    _part("drive", "force or torque", "servo_force_n", "servo drive, supply"),
-    _part("axis", "position", "servo_position_m", "drum"),
-    _part("START", "load cell", "tension_start_n", "START sensor, converter"),
-    _part("transmission", "", "", "cable, fabric, cable and fabric"),
-    _part("joint", "angle", "knee_angle_rad", "knee drive, leg"),
-    _part("END", "load cell", "tension_end_n", "END sensor"),
-)
+    _DRIVE._replace(name="drive", measures="force or torque"), _DRUM._replace(name="axis", measures="position"), _START,
+    _CABLE._replace(name="transmission", sites=_CABLE.sites | _FABRIC.sites), _KNEE._replace(name="joint"), _END)
 ALWAYS: Final = frozenset({"drive", "axis", "transmission"})
 """Parts that every rig has."""
 
 
-def svg(recorded: Collection[str], sites: Collection[str], *, of_rig: bool) -> str:
-    """Return the drawing of the rig or bench whose columns `recorded` exist, with the parts at `sites` marked."""
-    parts = [part for part in (RIG if of_rig else BENCH)
-             if not of_rig or part.name in ALWAYS or {*recorded} & {*part.columns}]
+def parts_of(path: ForcePath) -> tuple[DrawnPart, ...]:
+    """Return the parts of a declared force path, its load cells and joint under their own names."""
+    names = {_START: path.start, _KNEE: path.joint, _END: path.end}
+    return tuple(part._replace(name=part.name if part not in names or names[part].upper() == part.name else names[part])
+                 for part in BENCH if names.get(part, part.name))
+
+
+def parts_of_rig(recorded: Collection[str]) -> tuple[DrawnPart, ...]:
+    """Return the parts of a rig, which no file declares, by its columns."""
+    return tuple(part for part in RIG if part.name in ALWAYS or {*recorded} & {*part.columns})
+
+
+def svg(parts: Sequence[DrawnPart], recorded: Collection[str], sites: Collection[str]) -> str:
+    """Return the drawing of a rig or bench whose columns `recorded` exist, with the parts at `sites` marked."""
     width = (WIDTH - GAP * (len(parts) - 1) - 4) / len(parts)
     height = TOP + BOX_HEIGHT + 46
-    title = escape(_told(parts, sites))
+    title = escape(_title(parts, sites))
     drawn = [f'<svg class="bench" viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{title}">',
              f'<path d="M2 {TOP + BOX_HEIGHT / 2}H{WIDTH - 2}" stroke="{INK}" stroke-width="2"/>']
     for place, part in enumerate(parts):
@@ -67,17 +75,17 @@ def svg(recorded: Collection[str], sites: Collection[str], *, of_rig: bool) -> s
     return "".join([*drawn, "</svg>"])
 
 
-def _told(parts: Sequence[DrawnPart], sites: Collection[str]) -> str:
+def _title(parts: Sequence[DrawnPart], sites: Collection[str]) -> str:
     changed = [part.name for part in parts if part.sites & {*sites}]
     return f"{', '.join(part.name for part in parts)}; changed: {', '.join(changed) or 'none'}"
 
 
 def _box(part: DrawnPart, x: float, width: float, recorded: Collection[str], *, changed: bool) -> list[str]:
-    seen = not part.columns or bool({*part.columns} & {*recorded})
-    colour, middle = CHANGED if changed else INK if seen else SOFT, x + width / 2
-    dash = "" if seen else ' stroke-dasharray="5 4"'
+    recorded_here = not part.columns or bool({*part.columns} & {*recorded})
+    colour, middle = CHANGED if changed else INK if recorded_here else SOFT, x + width / 2
+    dash = "" if recorded_here else ' stroke-dasharray="5 4"'
     fill = "#fdecea" if changed else PAPER
-    below = "" if not part.measures else part.measures if seen else "not recorded"
+    below = "" if not part.measures else part.measures if recorded_here else "not recorded"
     texts = [(TOP + 26, part.name, colour, ' font-weight="600"'), (TOP + 44, below, SOFT, "")]
     texts += [(TOP + BOX_HEIGHT + 20, "changed", CHANGED, ' font-weight="600"')] if changed else []
     return [f"<g><title>{escape(', '.join(part.columns) or part.name)}</title>"
