@@ -215,8 +215,8 @@ def events(rows: NDArray[np.void], names: Mapping[int, str] = NAMES) -> list[tup
     plain = rows["flags"] == 0
     emcy = plain & (can_id >= EMCY_FIRST) & (can_id <= EMCY_LAST) & (dlc >= 3)
     boot = plain & (can_id > 0x700) & (can_id < 0x780) & (dlc == 1) & (rows["data"][:, 0] == 0)
-    told = plain & (can_id == NMT) & (dlc >= 2)
-    return [_event(row, names) for row in rows[emcy | boot | told].tolist()]
+    commands = plain & (can_id == NMT) & (dlc >= 2)
+    return [_event(row, names) for row in rows[emcy | boot | commands].tolist()]
 
 
 def _event(row: tuple[Any, ...], names: Mapping[int, str]) -> tuple[int, str, str, str]:

@@ -48,7 +48,7 @@ def cut(
             begin = 0  # bring-up belongs to what begins at the beginning
         if end is not None and end <= begin:
             raise InputError(f"{source}: --to is not after --from; give a later one.")
-        told = {"cut_from_s": (begin - first_ns) / 1e9 if begin else 0.0,
+        span = {"cut_from_s": (begin - first_ns) / 1e9 if begin else 0.0,
                 "cut_to_s": None if end is None else (end - first_ns) / 1e9}
         with replaced(target, overwrite=overwrite) as part, part.open("wb") as file:
             writer = _Writer(file)
@@ -58,7 +58,7 @@ def cut(
                     writer.message(schema, channel, message)
             if not writer.found.messages:
                 raise InputError(f"{source}: nothing was recorded there; it lasts {_length(reader, first_ns):.3f} s.")
-            writer.finish({"outcome": "cut", **told})
+            writer.finish({"outcome": "cut", **span})
     return writer.found
 
 
@@ -167,12 +167,12 @@ def _carry(reader: Any, writer: _Writer, prefix: str, known: dict[str, object]) 
     for record in reader.iter_metadata():
         if record.name == "result":
             continue
-        told = dict(record.metadata)
+        entries = dict(record.metadata)
         if record.name == "trial":
-            told = {name: text for name, text in told.items() if name not in TOLD_OF_A_WHOLE}
-        name = _named(f"metadata {record.name}", told, prefix, known)
+            entries = {name: text for name, text in entries.items() if name not in TOLD_OF_A_WHOLE}
+        name = _named(f"metadata {record.name}", entries, prefix, known)
         if name is not None:
-            writer.metadata(name.removeprefix("metadata "), told)
+            writer.metadata(name.removeprefix("metadata "), entries)
     for attachment in reader.iter_attachments():
         name = _named(attachment.name, attachment.data, prefix, known)
         if name is not None:
@@ -203,11 +203,11 @@ class _Writer:
         self._span: tuple[int, int] | None = None
         self.found = Edited()
 
-    def metadata(self, name: str, told: Mapping[str, str]) -> None:
-        self._writer.add_metadata(name, dict(told))
+    def metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        self._writer.add_metadata(name, dict(entries))
 
-    def attachment(self, name: str, given: Any) -> None:
-        self._writer.add_attachment(given.create_time, given.log_time, name, given.media_type, given.data)
+    def attachment(self, name: str, file: Any) -> None:
+        self._writer.add_attachment(file.create_time, file.log_time, name, file.media_type, file.data)
 
     def message(self, schema: Any, channel: Any, message: Any) -> None:
         number = self._channel(schema, channel)

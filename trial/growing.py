@@ -93,7 +93,7 @@ class GrowingTrial:
 def _identity(path: Path) -> tuple[int, int, int] | None:
     """Return inode, size and time of change of a file; None if it does not exist."""
     try:
-        told = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return told.st_ino, told.st_size, told.st_mtime_ns
+    return status.st_ino, status.st_size, status.st_mtime_ns

@@ -105,9 +105,9 @@ def _describe(made: mcap.Container, channels: dict[int, records.Channel]) -> dic
 
 def _keep(made: mcap.Container, content: bytes, numbers: dict[int, int], found: Recovery) -> int:
     """Write the messages in `content` under their new channel numbers; returns how many."""
-    kept, index = _in_bulk(content, numbers) or _one_by_one(content, numbers)
+    messages, index = _in_bulk(content, numbers) or _one_by_one(content, numbers)
     if index:
-        made.chunk(kept, index)
+        made.chunk(messages, index)
     count = sum(len(times) for times, _ in index.values())
     found.messages += count
     return count
@@ -131,16 +131,16 @@ def _in_bulk(content: bytes, numbers: dict[int, int]) -> tuple[bytes, Index] | N
 
 def _one_by_one(content: bytes, numbers: dict[int, int]) -> tuple[bytes, Index]:
     index: dict[int, list[tuple[int, int]]] = {}
-    kept = bytearray()
+    messages = bytearray()
     for opcode, at, end in salvage.whole_records(content):
         if opcode != mcap.MESSAGE or end - at < 22:
             continue
         _op, _length, old, sequence, time_ns, published = MESSAGE_HEAD.unpack_from(content, at - 9)
         number = numbers.get(old)
         if number is not None and time_ns < 1 << 63:
-            index.setdefault(number, []).append((time_ns, len(kept)))
-            kept += MESSAGE_HEAD.pack(opcode, end - at, number, sequence, time_ns, published) + content[at + 22:end]
-    return bytes(kept), {number: _columns(entries) for number, entries in index.items()}
+            index.setdefault(number, []).append((time_ns, len(messages)))
+            messages += MESSAGE_HEAD.pack(opcode, end - at, number, sequence, time_ns, published) + content[at + 22:end]
+    return bytes(messages), {number: _columns(entries) for number, entries in index.items()}
 
 
 def _columns(entries: list[tuple[int, int]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

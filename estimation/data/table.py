@@ -107,7 +107,8 @@ def _read_sheet(path: Path, joint: str | None) -> Table:
     made = table(str(path), {name: sheet.column(name) for name in known}, joint=joint)
     ignored = sorted(set(sheet.names) - set(known))
     notes = (f"columns not known, not used: {', '.join(ignored)}",) if ignored else ()
-    return replace(made, notes=(*made.notes, *notes, *((f"read with {', '.join(sheet.said)}",) if sheet.said else ())))
+    read_as = (f"read with {', '.join(sheet.remarks)}",) if sheet.remarks else ()
+    return replace(made, notes=(*made.notes, *notes, *read_as))
 
 
 def _known(name: str) -> bool:

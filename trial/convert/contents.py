@@ -236,7 +236,7 @@ def _known_ids() -> dict[int, str]:
 
 def _table(path: Path, sheet: LabTable) -> Contents:
     found = Contents(path, f"table of {len(sheet)} rows", counts=dict(sheet.counts))
-    found.remarks += [f"read with {', '.join(sheet.said)}"] if sheet.said else []
+    found.remarks += [f"read with {', '.join(sheet.remarks)}"] if sheet.remarks else []
     for name in sheet.names:
         if name in sheet.faults:
             row, _ = sheet.faults[name]

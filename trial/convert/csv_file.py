@@ -57,10 +57,10 @@ def reserved(name: str) -> bool:
 
 def read(path: Path, dialect: Dialect | None = None) -> LabTable:
     """Read a CSV file, gzipped or not; raises `InputError` with the row where it makes no sense."""
-    given = dialect or Dialect()
+    dialect = dialect or Dialect()
     raw = content(path, "a CSV file, gzipped or not", lines=True)
     try:
-        return _Reading(path, raw, given).sheet()
+        return _Reading(path, raw, dialect).sheet()
     except (csv.Error, RecursionError) as error:
         raise InputError(f"{path}: cannot be read ({error}); give a CSV file.") from None
     except MemoryError:
@@ -109,26 +109,26 @@ class _Line(NamedTuple):
 class _Reading:
     """One file on its way from bytes to a sheet."""
 
-    def __init__(self, path: Path, raw: bytes, given: Dialect) -> None:
-        self.path, self.given = path, given
-        text, encoding = decoded(path, raw, given.encoding)
-        self.said: list[str] = [] if encoding in ("utf-8", "utf-8-sig") else [encoding.upper()]
+    def __init__(self, path: Path, raw: bytes, dialect: Dialect) -> None:
+        self.path, self.dialect = path, dialect
+        text, encoding = decoded(path, raw, dialect.encoding)
+        self.remarks: list[str] = [] if encoding in ("utf-8", "utf-8-sig") else [encoding.upper()]
         self.counts: dict[str, int] = {}
         self.encoding, self.units_row, self.comma = encoding, 0, False
         every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-        marks = (given.comment,) if given.comment else COMMENTS
+        marks = (dialect.comment,) if dialect.comment else COMMENTS
         self.lines = [_Line(row, line) for row, line in enumerate(every, start=1) if line and not line.isspace()]
         self.comments = [line for line in self.lines if line.text.lstrip().startswith(marks)]
         if self.comments:
-            told = {line.row for line in self.comments}
-            self.lines = [line for line in self.lines if line.row not in told]
+            comment_rows = {line.row for line in self.comments}
+            self.lines = [line for line in self.lines if line.row not in comment_rows]
             self.counts["comment_lines"] = len(self.comments)
-            self.said.append(_many(len(self.comments), "comment line"))
-        self.delimiter = given.delimiter or _delimiter(self._sample())
+            self.remarks.append(_many(len(self.comments), "comment line"))
+        self.delimiter = dialect.delimiter or _delimiter(self._sample())
         if len(self.delimiter) != 1:
             raise InputError(f"{path}: the map's delimiter {self.delimiter!r} is not one character.")
         if self.delimiter != ",":
-            self.said.insert(0, f"delimiter {DELIMITERS.get(self.delimiter, repr(self.delimiter))}")
+            self.remarks.insert(0, f"delimiter {DELIMITERS.get(self.delimiter, repr(self.delimiter))}")
 
     def _sample(self) -> list[str]:
         step = max(1, len(self.lines) // SAMPLE)
@@ -153,20 +153,20 @@ class _Reading:
             raise InputError(f"{self.path}: a header and no rows; give at least one.")
         if not names:
             names = [f"column {place}" for place in range(1, len(self.cells(body[0].text)) + 1)]
-            self.said.append("no header, so columns are numbered")
+            self.remarks.append("no header, so columns are numbered")
         names, units = self._trimmed(names, units, body)
         columns = _numbers(self, names, body)
         rows = np.fromiter((line.row for line in body), np.int64, len(body))
         found = LabTable(self.path, unique(names, reserved), columns.values, units or [""] * len(names), rows,
-                         {}, {}, self.counts, self.said, header)
+                         {}, {}, self.counts, self.remarks, header)
         found.dialect = {
             "encoding": self.encoding, "delimiter": self.delimiter, "decimal": "," if self.comma else ".",
-            "comment": self.given.comment or self._comment_mark(), "header_row": header, "units_row": self.units_row}
+            "comment": self.dialect.comment or self._comment_mark(), "header_row": header, "units_row": self.units_row}
         found.faults = {found.names[place]: (body[at].row, cell) for place, (at, cell) in columns.faults.items()}
         for place, begins_ns in columns.begins_ns.items():
             found.begins_ns[found.names[place]] = begins_ns
             found.units[place] = "s"
-            self.said.append(f"{found.names[place]} is {times.told(begins_ns)}")
+            self.remarks.append(f"{found.names[place]} is {times.description(begins_ns)}")
         return found
 
     def _comment_mark(self) -> str:
@@ -178,13 +178,13 @@ class _Reading:
 
     def _header(self) -> tuple[int, list[str], int]:
         """Return the row that names the columns (0: none), the names, and how many lines stand up to it."""
-        if self.given.header_row == 0:
+        if self.dialect.header_row == 0:
             return 0, [], 0
-        if self.given.header_row > 0:
+        if self.dialect.header_row > 0:
             for at, line in enumerate(self.lines):
-                if line.row == self.given.header_row:
+                if line.row == self.dialect.header_row:
                     return line.row, self._names(line.text), at + 1
-            raise InputError(f"{self.path}: the map's header_row = {self.given.header_row} is no row of the file.")
+            raise InputError(f"{self.path}: the map's header_row = {self.dialect.header_row} is no row of the file.")
         found = self._found_header()
         if found is None:
             above = [line for line in self.comments if line.row < self.lines[0].row]
@@ -196,7 +196,7 @@ class _Reading:
             return 0, [], 0
         if found:
             self.counts["preamble_lines"] = found
-            self.said.append(f"{_many(found, 'line')} before the header in row {self.lines[found].row}")
+            self.remarks.append(f"{_many(found, 'line')} before the header in row {self.lines[found].row}")
         return self.lines[found].row, self._names(self.lines[found].text), found + 1
 
     def _names(self, text: str) -> list[str]:
@@ -225,21 +225,21 @@ class _Reading:
         return bool(units) and known >= 0.5 * len(units) and not any(_NUMBER.match(cell) for cell in units)
 
     def _units(self, body: list[_Line], names: list[str]) -> tuple[list[str], list[_Line]]:
-        if self.given.units_row == 0 or not body or not names:
+        if self.dialect.units_row == 0 or not body or not names:
             return [], body
-        if self.given.units_row > 0:
-            told = next((line for line in self.lines if line.row == self.given.units_row), None)
-            if told is None:
-                raise InputError(f"{self.path}: the map's units_row = {self.given.units_row} is no row of the file.")
-            body = [line for line in body if line.row != told.row]
+        if self.dialect.units_row > 0:
+            units_line = next((line for line in self.lines if line.row == self.dialect.units_row), None)
+            if units_line is None:
+                raise InputError(f"{self.path}: the map's units_row = {self.dialect.units_row} is no row of the file.")
+            body = [line for line in body if line.row != units_line.row]
         else:
-            told = body[0]
-            if len(cells := self._names(told.text)) > len(names) or not self._are_units(cells):
+            units_line = body[0]
+            if len(cells := self._names(units_line.text)) > len(names) or not self._are_units(cells):
                 return [], body
             body = body[1:]
-        self.units_row = told.row
-        self.said.append(f"units in row {told.row}")
-        units = self._names(told.text)
+        self.units_row = units_line.row
+        self.remarks.append(f"units in row {units_line.row}")
+        units = self._names(units_line.text)
         return units + [""] * (len(names) - len(units)), body
 
     def _without_repeats(
@@ -256,7 +256,7 @@ class _Reading:
             again |= {line.row for line in body if line.row - 1 in again and self._names(line.text) == units[:len(
                 self._names(line.text))]}
         self.counts["repeated_headers"] = sum(line.text == first for line in body)
-        self.said.append(f"the header {self.counts['repeated_headers']} times again")
+        self.remarks.append(f"the header {self.counts['repeated_headers']} times again")
         return [line for line in body if line.row not in again]
 
     def _trimmed(self, names: list[str], units: list[str], body: list[_Line]) -> tuple[list[str], list[str]]:
@@ -314,12 +314,12 @@ class _Columns(NamedTuple):
 
 def _numbers(reading: _Reading, names: Sequence[str], body: Sequence[_Line]) -> _Columns:
     """Return every column of the rows; a row of another length raises `InputError`."""
-    delimiter, comma = reading.delimiter, reading.given.decimal == ","
-    if not reading.given.decimal and delimiter != ",":
+    delimiter, comma = reading.delimiter, reading.dialect.decimal == ","
+    if not reading.dialect.decimal and delimiter != ",":
         comma = _has_decimal_comma(reading, body)
     reading.comma = comma
     if comma:
-        reading.said.append("decimal comma")
+        reading.remarks.append("decimal comma")
     joined = "\n".join(line.text for line in body)
     plain = _filled(joined.replace(",", ".") if comma else joined, delimiter)
     try:

@@ -50,7 +50,7 @@ class Map(dict[str, SignalSource]):
 class Columns:
     """Columns by signal name, counts, and the headers left out; `rows` number the rows as the file does.
 
-    `said` lists how the file was read; `begins_ns` is the time since 1970 at which `time_s` is 0, if the file gives
+    `remarks` lists how the file was read; `begins_ns` is the time since 1970 at which `time_s` is 0, if the file gives
     it.
     """
 
@@ -58,7 +58,7 @@ class Columns:
     counts: dict[str, int]
     left_out: list[str] = field(default_factory=list)
     rows: np.ndarray[tuple[int], np.dtype[np.int64]] | range = range(0)
-    said: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
     begins_ns: int | None = None
 
 
@@ -98,12 +98,12 @@ def columns_of(sheet: LabTable, mapped: Mapping[str, SignalSource] | None = None
         columns[signal] = sheet.column(source.column) * factor + source.offset
     if "time_s" not in columns:
         raise InputError(f"{path}: has no column time_s; {offer(path)}.")
-    taken = {source.column for source in sources.values()}
+    sources_used = {source.column for source in sources.values()}
     unknown = int(sum(np.isnan(column).sum() for column in columns.values()))
     return Columns(
         columns, {"rows": len(sheet), "unknown_values": unknown, **sheet.counts},
-        [*(name for name in sheet.names if name not in taken),
-         *(f"{name} ({why})" for name, why in sheet.left_out.items())], sheet.rows, sheet.said,
+        [*(name for name in sheet.names if name not in sources_used),
+         *(f"{name} ({why})" for name, why in sheet.left_out.items())], sheet.rows, sheet.remarks,
         sheet.begins_ns.get(sources["time_s"].column))
 
 

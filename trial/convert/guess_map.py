@@ -155,8 +155,8 @@ def unassigned(sheet: LabTable, found: Sequence[Guess]) -> list[Unassigned]:
 def _stated(sheet: LabTable, name: str) -> tuple[str, str]:
     """Return a column's name without its unit, and the unit by the row of units, else by the name, as written."""
     bare, unit = split_unit(name)
-    told = sheet.written_unit(name)
-    return bare, told if told not in ("", "-", "1") else unit
+    unit_text = sheet.written_unit(name)
+    return bare, unit_text if unit_text not in ("", "-", "1") else unit
 
 
 def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
@@ -255,8 +255,8 @@ def _how(sheet: LabTable) -> list[str]:
         return []
     if "sheet" in sheet.dialect:
         return ["[csv]", f"sheet = {json.dumps(sheet.dialect['sheet'], ensure_ascii=False)}", ""]
-    told = f" ({'; '.join(sheet.said)})" if sheet.said else ""
-    return [f"# The file is read with these values{told}; to read it otherwise, uncomment and change:", "# [csv]",
+    remarks = f" ({'; '.join(sheet.remarks)})" if sheet.remarks else ""
+    return [f"# The file is read with these values{remarks}; to read it otherwise, uncomment and change:", "# [csv]",
             *(f"# {name} = {json.dumps(value, ensure_ascii=False)}" for name, value in sheet.dialect.items()), ""]
 
 

@@ -158,7 +158,7 @@ def _is_python_cans(source: Path) -> bool:
 def _from_table(source: Path, report: Imported, asked: ImportRequest) -> TrialContent:
     table = csv_table.read(source, asked.mapped)
     report.counts |= table.counts
-    report.left_out, report.read_as = table.left_out, table.said
+    report.left_out, report.read_as = table.left_out, table.remarks
     times, columns = _ordered(source, table, report)
     if table.begins_ns is not None and table.begins_ns >= 0:
         times = times + table.begins_ns
@@ -179,16 +179,16 @@ def _ordered(
     rows = np.array(list(columns.values()))
     same = np.append(False, ((rows[:, 1:] == rows[:, :-1]) | (np.isnan(rows[:, 1:]) & np.isnan(rows[:, :-1]))).all(0))
     report.counts["repeated_rows"] = int(same.sum())
-    kept = np.flatnonzero(~same)
-    falls = np.flatnonzero(np.diff(seconds[kept]) <= 0)
+    first_of_equal = np.flatnonzero(~same)
+    falls = np.flatnonzero(np.diff(seconds[first_of_equal]) <= 0)
     if len(falls):
-        row = kept[falls[0] + 1]
+        row = first_of_equal[falls[0] + 1]
         raise InputError(f"{source}: row {table.rows[row]}: time_s = {seconds[row]:g} does not rise; "
                          "sort or cut the file.")
-    times = np.rint(seconds[kept] * 1e9).astype(np.int64)
+    times = np.rint(seconds[first_of_equal] * 1e9).astype(np.int64)
     mended = clock.mend(times, source)
     report.counts["shifted_ns"] = mended.shift_ns
-    return mended.times, {name: column[kept] for name, column in columns.items()}
+    return mended.times, {name: column[first_of_equal] for name, column in columns.items()}
 
 
 def _from_candump(source: Path, report: Imported, asked: ImportRequest) -> TrialContent:
@@ -273,12 +273,12 @@ def _mapped_columns(
     for name, unit in found.units.items():
         if name in UNITS:
             columns[name] = found.columns[name] * SignalSource(column=name, unit=unit).factor(name, f"{source}: {name}")
-    for name, given in (mapped or {}).items():
-        if given.column not in found.columns:
-            raise InputError(f"{source}: the map takes {name} from {given.column!r}, which is no column of the file.")
-        columns[name] = found.columns[given.column] * given.factor(name, str(source)) + given.offset
-    taken = {given.column for given in (mapped or {}).values()}
-    report.left_out += [name for name in found.columns if name not in columns and name not in taken]
+    for name, origin in (mapped or {}).items():
+        if origin.column not in found.columns:
+            raise InputError(f"{source}: the map takes {name} from {origin.column!r}, which is no column of the file.")
+        columns[name] = found.columns[origin.column] * origin.factor(name, str(source)) + origin.offset
+    columns_used = {origin.column for origin in (mapped or {}).values()}
+    report.left_out += [name for name in found.columns if name not in columns and name not in columns_used]
     return columns
 
 

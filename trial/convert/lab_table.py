@@ -53,7 +53,7 @@ class LabTable:
     """A table: `names` and, of equal length, `values`; `units` are those of the file, empty if it states none.
 
     `rows[i]` is the number of row i in the file. `faults` gives, by column, the first cell that is not a number, with
-    its row. `begins_ns` is, by name, the time since 1970 at which a column of absolute times is 0. `said` lists the
+    its row. `begins_ns` is, by name, the time since 1970 at which a column of absolute times is 0. `remarks` lists the
     detections, as sentences; `dialect` has the detected values of a map's [csv]: of a workbook its sheet, {} of a file
     of another format. `left_out` gives, by name, the reason why a column or sheet of the file is not in the table.
     """
@@ -66,7 +66,7 @@ class LabTable:
     faults: dict[str, tuple[int, str]] = field(default_factory=dict)
     begins_ns: dict[str, int] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
-    said: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
     header_row: int = 1
     dialect: dict[str, str | int] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)

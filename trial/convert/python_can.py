@@ -184,7 +184,7 @@ class Bounded(io.RawIOBase):
             raise InputError(f"{self._path}: a line is longer than {LONGEST_LINE} bytes; it is no log.")
         return len(data)
 
-    def told(self) -> int:
+    def position(self) -> int:
         """Return the reading position in the file, bytes."""
         return self._file.tell()
 
@@ -212,7 +212,7 @@ def _messages(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
         whole: Any = io.BufferedReader(raw, 1 << 16)
         file = io.TextIOWrapper(whole, encoding="utf-8", errors="replace") if text else whole
         with reader_type(file) as reader:
-            yield reader, raw.told
+            yield reader, raw.position
 
 
 def _mdf_reader() -> Any:
@@ -261,10 +261,10 @@ def read_log(path: Path, progress: Callable[[float], None] = lambda share: None)
     counts = {"fd_frames": 0, "malformed_frames": 0, "dlc_above_8": 0}
     try:
         size = path.stat().st_size
-        with _messages(path) as (reader, told):
+        with _messages(path) as (reader, position):
             for number, message in enumerate(reader, start=1):
                 if number % ROWS_AT_ONCE == 0:
-                    progress(min(1.0, told() / size))
+                    progress(min(1.0, position() / size))
                 _take(message, rows, channels, counts)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of a CAN log.") from None

@@ -114,7 +114,7 @@ def excel(path: Path, chosen: str = "") -> LabTable:
     if found is None:
         raise InputError(f"{path}: " + (f"sheet {chosen!r}" if chosen else f"none of its sheets {_quoted(texts)}")
                          + " holds a header with rows of numbers; name the sheet with --sheet.")
-    found.said.insert(0, f"Excel, sheet {title!r}")
+    found.remarks.insert(0, f"Excel, sheet {title!r}")
     found.dialect = {"sheet": title}
     found.left_out = reasons
     return found
@@ -277,7 +277,7 @@ def has_can_frames(path: Path) -> bool:
         return False
 
 
-def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], said: list[str]) -> LabTable:
+def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], remarks: list[str]) -> LabTable:
     """Make a sheet of the columns of numbers that have the commonest length; the others are listed as left out."""
     numbers = {name: values for name, values in columns.items() if values.dtype.kind in "fiub"}
     stamps = {name: values for name, values in columns.items() if values.dtype.kind == "M"}
@@ -302,7 +302,7 @@ def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], said: list[str
     names = _shortest(list(values))
     stated = ["s" if name in begins else units.get(name, "") for name in values]
     found = LabTable(path, unique(names, csv_file.reserved), list(values.values()), stated, range(1, length + 1),
-                     counts=counts, said=said, header_row=0, left_out=reasons)
+                     counts=counts, remarks=remarks, header_row=0, left_out=reasons)
     found.begins_ns = {name: begins[full] for name, full in zip(names, values, strict=True) if full in begins}
     return found
 

@@ -36,7 +36,7 @@ def is_time(cell: str) -> bool:
     return ":" in cell and bool(_ISO.match(cell) or _DOTTED.match(cell) or _CLOCK.match(cell))
 
 
-def told(begins_ns: int) -> str:
+def description(begins_ns: int) -> str:
     """Return a sentence with the start of a column's times."""
     if begins_ns < 0:
         return "a time of day, taken from the first on"

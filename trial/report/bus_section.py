@@ -34,22 +34,22 @@ KINDS = (
 )
 
 
-def timing(page: Page, seen: Overview, setting: TrialSetting, *, on_bus: bool = True) -> None:
+def timing(page: Page, view: Overview, setting: TrialSetting, *, on_bus: bool = True) -> None:
     """Add age and arrival of the PDOs, SYNC, misses and the step's duration; for an imported table, the steps of its
     time.
     """
-    trial = seen.drawn
+    trial = view.drawn
     timed = [name for name in TIMED if known(trial, name) is not None]
     if not on_bus and set(timed) <= {INTERVAL}:
-        _sampling(page, seen, setting.period_ns)
+        _sampling(page, view, setting.period_ns)
         return
     page.section("Timing")
     if "sync_jitter_ns" in timed and INTERVAL in timed:
         timed.remove(INTERVAL)
     if timed:
         page.table(("signal (µs)", "least", "median", "99.9 %", "greatest", "unknown rows"),
-                   [_spread(name, seen.spreads[name]) for name in timed])
-    page.facts(_misses(seen))
+                   [_spread(name, view.spreads[name]) for name in timed])
+    page.facts(_misses(view))
     for title, ending in (("PDO arrival after SYNC", "arrival"), ("PDO age at the controller's step", "age")):
         _timing_plot(page, trial, title, {f"{name}_pdo_{ending}_ns": PDO_COLOURS[name] for name in PDO_NAMES})
     for name, title in (("sync_jitter_ns", "SYNC against its nominal time"),
@@ -59,15 +59,15 @@ def timing(page: Page, seen: Overview, setting: TrialSetting, *, on_bus: bool = 
             over_time(page, trial, title, chosen(trial, [name]), "ns")
 
 
-def _sampling(page: Page, seen: Overview, period_ns: float | None) -> None:
+def _sampling(page: Page, view: Overview, period_ns: float | None) -> None:
     """Add the regularity of a table's time steps."""
-    if INTERVAL not in seen.spreads or seen.extent.rows < 3 or period_ns is None:
+    if INTERVAL not in view.spreads or view.extent.rows < 3 or period_ns is None:
         return
     page.section("Sampling")
-    least, middle, greatest = ((one or 0.0) + period_ns for one in seen.spreads[INTERVAL].at((0.0, 0.5, 1.0)))
+    least, middle, greatest = ((one or 0.0) + period_ns for one in view.spreads[INTERVAL].at((0.0, 0.5, 1.0)))
     page.facts({"rate (Hz)": 1e9 / middle, "median step (s)": middle / 1e9, "least step (s)": least / 1e9,
                 "greatest step (s)": greatest / 1e9,
-                "steps above 2.5 medians": seen.spreads[INTERVAL].above(2.5 * middle - period_ns)})
+                "steps above 2.5 medians": view.spreads[INTERVAL].above(2.5 * middle - period_ns)})
 
 
 def _timing_plot(page: Page, trial: Trial, title: str, colours: dict[str, str]) -> None:
@@ -81,12 +81,12 @@ def _spread(name: str, found: Quantiles) -> list[Cell]:
     return [name.removesuffix("_ns"), *(None if one is None else one / 1000 for one in quantiles), found.unknown]
 
 
-def _misses(seen: Overview) -> dict[str, Cell]:
-    rows, _, _, lost = seen.extent
+def _misses(view: Overview) -> dict[str, Cell]:
+    rows, _, _, lost = view.extent
     found: dict[str, Cell] = {"control cycles": rows, "cycles lost in recording": lost}
     for name, text in zip(COUNTED, ("cycles with missed inputs", "cycles with missed outputs",
                                     "cycles that held their targets"), strict=True):
-        found[text] = seen.counts.get(name, "not recorded")
+        found[text] = view.counts.get(name, "not recorded")
     return found
 
 

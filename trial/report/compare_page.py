@@ -54,12 +54,12 @@ def _figures(page: Page, a: Trial, b: Trial) -> None:
 
 def judged(side: Trial) -> dict[str, float | None]:
     """Return the four figures of a trial by name; {} if peak, rate, gait cycles or forces are not known."""
-    told = setting(side)
-    if told.peak_n is None or told.rate_hz is None or not told.cycles or any(
+    settings = setting(side)
+    if settings.peak_n is None or settings.rate_hz is None or not settings.cycles or any(
             known(side, name) is None for name in NEEDED):
         return {}
-    return dict(metrics.figures(side.columns, peak_n=told.peak_n, rate_hz=told.rate_hz, cycles=told.cycles,
-                                settle=told.settle))
+    return dict(metrics.figures(side.columns, peak_n=settings.peak_n, rate_hz=settings.rate_hz, cycles=settings.cycles,
+                                settle=settings.settle))
 
 
 def _result(page: Page, found: TrialComparison) -> None:

@@ -82,9 +82,9 @@ def chosen(trial: Trial, names: Sequence[str]) -> dict[str, Floats]:
     return {name: slow_columns.on_rows(time, column)[0] for name, column in found.items() if column is not None}
 
 
-def force(page: Page, file: TrialFile, seen: Overview, setting: TrialSetting) -> None:
+def force(page: Page, file: TrialFile, view: Overview, setting: TrialSetting) -> None:
     """Add force over time, per gait cycle, and its error; nothing where no force is known."""
-    trial = seen.drawn
+    trial = view.drawn
     if not chosen(trial, FORCE):
         return
     page.section("Force")
@@ -97,7 +97,7 @@ def force(page: Page, file: TrialFile, seen: Overview, setting: TrialSetting) ->
     error = known(trial, ERROR)
     if error is not None:
         over_time(page, trial, "Error: END less desired", {ERROR: error}, "N")
-    cycles = gait_cycles(file, setting, seen, [name for name in BY_PHASE if known(trial, name) is not None])
+    cycles = gait_cycles(file, setting, view, [name for name in BY_PHASE if known(trial, name) is not None])
     if cycles is None:
         page.text("No gait cycle was recorded, so nothing is drawn against the phase.", "note")
         return

@@ -35,9 +35,9 @@ def label(key: str) -> str:
     return LABELS.get(key, key.replace("_", " "))
 
 
-def shown(told: Mapping[str, object]) -> dict[str, object]:
+def shown(facts: Mapping[str, object]) -> dict[str, object]:
     """Return the entries to show at once, by label: documented keys with a value, and keys of foreign files."""
-    return {label(key): _plain(value, UNITS.get(key)) for key, value in told.items()
+    return {label(key): _plain(value, UNITS.get(key)) for key, value in facts.items()
             if key not in ALWAYS_FOLDED and value not in (None, "", [], {}, "[]", "{}", "null")}
 
 
@@ -53,6 +53,6 @@ def _plain(value: object, unit: str | None) -> object:
     return value
 
 
-def folded(told: Mapping[str, object]) -> dict[str, object]:
+def folded(facts: Mapping[str, object]) -> dict[str, object]:
     """Return the rest by key: digests, the commit, settings that are seldom asked for."""
-    return {key: value for key, value in told.items() if key in ALWAYS_FOLDED and value not in (None, "")}
+    return {key: value for key, value in facts.items() if key in ALWAYS_FOLDED and value not in (None, "")}

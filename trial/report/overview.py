@@ -248,13 +248,13 @@ class GaitCycles:
 
 
 def gait_cycles(
-    file: TrialFile, setting: TrialSetting, seen: Overview, names: Sequence[str]
+    file: TrialFile, setting: TrialSetting, view: Overview, names: Sequence[str]
 ) -> GaitCycles | None:
     """Return the gait cycles of a trial with the columns `names` and the error of END; None without any."""
-    if not seen.gait_rows:
+    if not view.gait_rows:
         return None
     wanted = [name for name in ("cycle", "gait_percent", *names) if name in file.units]
-    found = GaitCycles(int(np.clip(seen.gait_rows / seen.gait_cycles / 4, 10, PHASE_BINS)), setting.peak_n,
+    found = GaitCycles(int(np.clip(view.gait_rows / view.gait_cycles / 4, 10, PHASE_BINS)), setting.peak_n,
                        setting.settle)
     for _, columns in file.blocks(wanted):
         if "tension_end_n" in columns and "desired_force_n" in columns:

@@ -48,14 +48,14 @@ def build(
     """Return the page of a trial; of a table that was imported, without what only a bus can show."""
     judged, page = setting(trial), _head(trial)
     frames = sum(map(len, trial.frame_blocks()))
-    seen = overview(trial, judged)
+    view = overview(trial, judged)
     parts: tuple[Callable[[], None], ...] = (
-        *_signals(page, trial, seen, frames, published),
-        lambda: bus_section.timing(page, seen, judged, on_bus=bool(frames)),
+        *_signals(page, trial, view, frames, published),
+        lambda: bus_section.timing(page, view, judged, on_bus=bool(frames)),
         lambda: bus_section.load(page, trial, frame_bits, bound_percent),
         lambda: _events(page, trial, frames),
         lambda: _carried(page, trial),
-        lambda: _reading(page, seen.extent),
+        lambda: _reading(page, view.extent),
     )
     for done, part in enumerate(parts, start=1):
         part()
@@ -64,20 +64,20 @@ def build(
 
 
 def _signals(
-    page: Page, trial: TrialFile, seen: Overview, frames: int, published: Mapping[str, str]
+    page: Page, trial: TrialFile, view: Overview, frames: int, published: Mapping[str, str]
 ) -> list[Callable[[], None]]:
     """Return what adds summary, force, motion and other signals; of several force paths for each of them."""
     parts: list[Callable[[], None]] = []
     for name in paths.names(trial) or ("",):
         one = paths.one_path(trial, name) if name else trial
         judged = setting(one)
-        parts += _of_path(page, one, overview(one, judged) if name else seen, judged, frames if one.has_frames else 0,
+        parts += _of_path(page, one, overview(one, judged) if name else view, judged, frames if one.has_frames else 0,
                           f"{name}: " if name else "", published)
     return parts
 
 
 def _of_path(
-    page: Page, one: TrialFile, seen: Overview, judged: TrialSetting, frames: int, prefix: str,
+    page: Page, one: TrialFile, view: Overview, judged: TrialSetting, frames: int, prefix: str,
     published: Mapping[str, str],
 ) -> list[Callable[[], None]]:
     def begin() -> None:
@@ -86,32 +86,32 @@ def _of_path(
     def end() -> None:
         page.prefix = ""
 
-    return [begin, lambda: _summary(page, one, seen, judged, frames, published),
-            lambda: force_section.force(page, one, seen, judged),
-            lambda: force_section.motion(page, seen.drawn), lambda: force_section.others(page, seen.drawn), end]
+    return [begin, lambda: _summary(page, one, view, judged, frames, published),
+            lambda: force_section.force(page, one, view, judged),
+            lambda: force_section.motion(page, view.drawn), lambda: force_section.others(page, view.drawn), end]
 
 
 def _head(trial: TrialFile) -> Page:
-    told, result = trial.metadata, trial.result
+    metadata, result = trial.metadata, trial.result
     title = " ".join(("Trial", trial.path.name))
-    bus = told.get("bus", "")
+    bus = metadata.get("bus", "")
     where = "SIMULATED bench" if bus == "SIMULATED" else f"bus {bus}" if bus else ""
-    parts = [where, told.get("experiment", ""), _of(told, "peak_n", "N"), _of(told, "period_s", "s"),
-             _of(told, "cycles", "gait cycles"), _of(told, "rate_hz", "Hz"),
-             f"controller {told['controller']}" if "controller" in told else "",
-             f"calibration {told['calibration']}" if "calibration" in told else "",
-             f"imported from {told['imported_from']}" if "imported_from" in told else ""]
+    parts = [where, metadata.get("experiment", ""), _of(metadata, "peak_n", "N"), _of(metadata, "period_s", "s"),
+             _of(metadata, "cycles", "gait cycles"), _of(metadata, "rate_hz", "Hz"),
+             f"controller {metadata['controller']}" if "controller" in metadata else "",
+             f"calibration {metadata['calibration']}" if "calibration" in metadata else "",
+             f"imported from {metadata['imported_from']}" if "imported_from" in metadata else ""]
     outcome = "no result" if result is None else str(result.get("outcome", "recorded"))
     kind = {"completed": "good", "stopped": "bad", "no result": "warn"}.get(outcome, "plain")
     return Page(title, " · ".join(part for part in parts if part), badge=(outcome, kind))
 
 
-def _of(told: Mapping[str, str], name: str, unit: str) -> str:
-    return f"{told[name].removesuffix('.0')} {unit}" if name in told else ""
+def _of(metadata: Mapping[str, str], name: str, unit: str) -> str:
+    return f"{metadata[name].removesuffix('.0')} {unit}" if name in metadata else ""
 
 
 def _summary(
-    page: Page, trial: TrialFile, seen: Overview, judged: TrialSetting, frames: int, published: Mapping[str, str]
+    page: Page, trial: TrialFile, view: Overview, judged: TrialSetting, frames: int, published: Mapping[str, str]
 ) -> None:
     page.section("Summary")
     result = trial.result or {}
@@ -123,16 +123,16 @@ def _summary(
         page.text("The recording has no result: it was cut off, or is not finished.", "warning")
     if trial.recovered is not None:
         page.text("Recovered from a torn recording; control cycles may be missing.", "warning")
-    _figures(page, trial, seen, judged, published)
-    rows, first_ns, last_ns, _ = seen.extent
+    _figures(page, trial, view, judged, published)
+    rows, first_ns, last_ns, _ = view.extent
     seconds = (last_ns - first_ns) / 1e9 if rows else None
-    told = {**trial.metadata, **{name: value for name, value in result.items() if name not in SAID}}
-    page.facts({**{name: _cell(value) for name, value in labels.shown(told).items()},
+    facts = {**trial.metadata, **{name: value for name, value in result.items() if name not in SAID}}
+    page.facts({**{name: _cell(value) for name, value in labels.shown(facts).items()},
                 **_counted(rows, frames, len(trial.events)), "recorded time": quantity(seconds, "s")})
-    rest = labels.folded(told)
+    rest = labels.folded(facts)
     if rest:
         page.attachment("commit, digests and homing", "".join(f"{name}: {_cell(one)}\n" for name, one in rest.items()))
-    missing = unknown(seen.drawn)
+    missing = unknown(view.drawn)
     if missing:
         page.text(f"Not in this trial: {', '.join(dict.fromkeys(map(words, missing)))}.", "note")
 
@@ -153,9 +153,9 @@ def _cell(value: object) -> Cell:
 
 
 def _figures(
-    page: Page, trial: TrialFile, seen: Overview, judged: TrialSetting, published: Mapping[str, str]
+    page: Page, trial: TrialFile, view: Overview, judged: TrialSetting, published: Mapping[str, str]
 ) -> None:
-    lacking = [name for name in NEEDED if known(seen.drawn, name) is None]
+    lacking = [name for name in NEEDED if known(view.drawn, name) is None]
     if lacking or judged.peak_n is None or judged.rate_hz is None or not judged.cycles:
         unknown_names = ", ".join(map(words, lacking)) or "peak, rate or gait cycles"
         page.text(f"No figures of force: {unknown_names} not known.", "note")

@@ -97,12 +97,12 @@ def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool, json
     found = guess_map.guesses(sheet)
     others = guess_map.unassigned(sheet, found)
     if json:
-        terminal.emit({"map": str(output), "read_as": sheet.said, "signals": {
+        terminal.emit({"map": str(output), "read_as": sheet.remarks, "signals": {
             one.signal: {"column": one.column, "unit": one.unit, "scale": one.scale, "question": one.question}
             for one in found}, "not_assigned": {one.column: one.why for one in others}})
         return 0
-    if sheet.said:
-        print(f"{source}: read with {', '.join(sheet.said)}.")
+    if sheet.remarks:
+        print(f"{source}: read with {', '.join(sheet.remarks)}.")
     terminal.table(f"Map: {output}; check it, it is a guess", ("signal", "column", "unit", "scale"), [
         (one.signal, one.column, one.unit, f"{one.scale:g}") for one in found])
     for guess in found:
