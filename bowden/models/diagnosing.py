@@ -130,10 +130,10 @@ def on_its_footing(found: Findings, trials: Sequence[Path], *, measured: bool) -
     given.
     """
     from estimation.data.table import NOMINAL
-    from trial.read import open as opened
+    from trial.read import open_file
 
     measured = measured or not all(
-        path.suffix.lower() == ".mcap" and opened(path).metadata.get("calibration") == NOMINAL for path in trials)
+        path.suffix.lower() == ".mcap" and open_file(path).metadata.get("calibration") == NOMINAL for path in trials)
     return found if measured or found.verdict == "refused" else found.unnamed()
 
 
