@@ -17,7 +17,8 @@ WORDS: Final = {
     "knee_angle_rad": "knee (measured)", "tension_start_n": "START (measured)", "tension_end_n": "END (measured)",
     "desired_force_n": "END (desired)", "estimated_end_force_n": "END (estimated)",
     "feedforward_m": "stretch and swing fed forward", "impedance_dx_m": "correction of the impedance law",
-    "estimated_end_half_n": "half the 95 % interval of END (estimated)", "friction_ratio": "START by END (friction model)",
+    "estimated_end_half_n": "half the 95 % interval of END",
+    "friction_ratio": "START by END (friction model)",
     "rope_direction": "rope's direction (friction model)", "strain_direction": "strain's direction (friction model)",
     "sync_jitter_ns": "SYNC against its nominal time", "step_duration_ns": "controller's step",
 }
