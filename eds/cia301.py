@@ -213,4 +213,5 @@ class Emcy(IntEnum):
     MONITOR_HEARTBEAT = 0xFF16, 0x81, "safety monitor: heartbeat of the master or a drive missing"
     MONITOR_TRIAL_TIME = 0xFF17, 0x81, "safety monitor: trial longer than its bound"
     MONITOR_OWN = 0xFF18, 0x81, "safety monitor: its own steps came late"
+    MONITOR_ROPE = 0xFF19, 0x81, "safety monitor: the rope winds in faster than its bound, or is about to"
 

@@ -21,16 +21,20 @@ WINDOW: Final = 3
 LOOK_AHEAD_S: Final = 0.03
 """Time by which the knee's angle is extrapolated at its speed, s: six times the STO delay that is assumed. Shorter:
 the leg is faster where it meets its end stop. Longer: a gait that nears the end of its range trips."""
+ROPE_AHEAD: Final = 6
+"""Steps by which the rope's speed is extrapolated at its acceleration: one step, and the STO delay that is assumed.
+Fewer: a stage that conducts gives the drum 80 m/s² more for each. More: quantisation counts as speed (54 mm/s)."""
 LATE_NS: Final = 20 * MS
 """Time between two steps from which on the monitor's own computer counts as stopped."""
 
 
 class PathInputs(NamedTuple):
-    """The monitor's own sensors at one force path: tension at START and END, N, and the joint's angle, degrees."""
+    """The monitor's own sensors at one force path: tensions, N, the joint's angle, degrees, and rope wound in, m."""
 
     start_n: float
     end_n: float
     knee_deg: float
+    rope_m: float
 
 
 class Heard(NamedTuple):
@@ -62,23 +66,17 @@ class MonitorState(NamedTuple):
 
 
 class Present(NamedTuple):
-    """One step as the checks see it: the state before it, its time, the paths now and `WINDOW` steps ago."""
+    """One step as the checks see it: the state before it, its time, and the paths from `WINDOW` steps ago until now."""
 
     state: MonitorState
     time_ns: int
-    paths: tuple[PathInputs, ...]
-    before: tuple[PathInputs, ...]
+    course: tuple[tuple[PathInputs, ...], ...]
     watched: tuple[int, ...]
 
-    @property
-    def window_s(self) -> float:
-        """Time over which rates are taken, s."""
-        return max(1, len(self.state.history)) * STEP_NS * 1e-9
-
-    def speeds(self) -> tuple[float, ...]:
-        """Return the speed of each path's joint, degrees/s."""
-        return tuple((now.knee_deg - was.knee_deg) / self.window_s
-                     for now, was in zip(self.paths, self.before, strict=True))
+    def rates(self, place: int, first: int = 0, last: int = WINDOW) -> list[float]:
+        """Return the rate of the input at `place` in each path, per second, from one step of the course to another."""
+        return [(now[place] - was[place]) / ((last - first) * STEP_NS * 1e-9)
+                for was, now in zip(self.course[first], self.course[last], strict=True)]
 
 
 class Check(NamedTuple):
@@ -95,21 +93,25 @@ def _above(what: str, values: Iterable[float], bound: float, unit: str) -> str:
 
 
 def _start(present: Present, bounds: Bounds) -> str:
-    return _above("START", (abs(path.start_n) for path in present.paths), bounds.start_n, "N")
+    return _above("START", (abs(path.start_n) for path in present.course[-1]), bounds.start_n, "N")
 
 
 def _end(present: Present, bounds: Bounds) -> str:
-    return _above("END", (abs(path.end_n) for path in present.paths), bounds.end_n, "N")
+    return _above("END", (abs(path.end_n) for path in present.course[-1]), bounds.end_n, "N")
 
 
 def _force_rate(present: Present, bounds: Bounds) -> str:
-    rises = ((now[place] - was[place]) / present.window_s
-             for now, was in zip(present.paths, present.before, strict=True) for place in (0, 1))
-    return _above("a tension rises at", rises, bounds.force_rate_n_s, "N/s")
+    return _above("a tension rises at", (*present.rates(0), *present.rates(1)), bounds.force_rate_n_s, "N/s")
+
+
+def _rope_speed(present: Present, bounds: Bounds) -> str:
+    ahead = (now + (now - was) * ROPE_AHEAD / (WINDOW - 1)
+             for was, now in zip(present.rates(3, 0, 1), present.rates(3, WINDOW - 1), strict=True))
+    return _above("rope about to wind in at", ahead, bounds.rope_m_s, "m/s")
 
 
 def _angle(present: Present, bounds: Bounds) -> str:
-    for path, speed in zip(present.paths, present.speeds(), strict=True):
+    for path, speed in zip(present.course[-1], present.rates(2), strict=True):
         ahead = path.knee_deg + speed * LOOK_AHEAD_S
         if not (bounds.knee_low_deg <= min(path.knee_deg, ahead) and max(path.knee_deg, ahead) <= bounds.knee_high_deg):
             return (f"knee {path.knee_deg:.4g} degrees at {speed:.4g} degrees/s, bounds {bounds.knee_low_deg:g} and "
@@ -118,22 +120,20 @@ def _angle(present: Present, bounds: Bounds) -> str:
 
 
 def _speed(present: Present, bounds: Bounds) -> str:
-    return _above("knee speed", map(abs, present.speeds()), bounds.knee_deg_s, "degrees/s")
+    return _above("knee speed", map(abs, present.rates(2)), bounds.knee_deg_s, "degrees/s")
 
 
 def _heartbeats(present: Present, bounds: Bounds) -> str:
-    if present.state.working_ns < 0:
-        return ""
     last = {heard.node: heard.time_ns for heard in present.state.heard}
-    ages = (((present.time_ns - last.get(node, present.state.working_ns)) / MS, node) for node in present.watched)
+    ages = (((present.time_ns - last.get(node, present.state.working_ns)) / MS, node) for node in present.watched
+            if present.state.working_ns >= 0)
     return next((f"heartbeat of node {node} {age:.0f} ms old, bound {bounds.heartbeat_ms:g} ms"
                  for age, node in ages if age > bounds.heartbeat_ms), "")
 
 
 def _trial_time(present: Present, bounds: Bounds) -> str:
-    if present.state.working_ns < 0:
-        return ""
-    return _above("drives OPERATIONAL for", [(present.time_ns - present.state.working_ns) * 1e-9], bounds.trial_s, "s")
+    worked_ns = present.time_ns - present.state.working_ns if present.state.working_ns >= 0 else 0
+    return _above("drives OPERATIONAL for", [worked_ns * 1e-9], bounds.trial_s, "s")
 
 
 def _own_time(present: Present, bounds: Bounds) -> str:
@@ -145,6 +145,7 @@ CHECKS: Final = (
     Check("tension at START", Emcy.MONITOR_START, _start),
     Check("tension at END", Emcy.MONITOR_END, _end),
     Check("rise of a tension", Emcy.MONITOR_FORCE_RATE, _force_rate),
+    Check("speed of the rope", Emcy.MONITOR_ROPE, _rope_speed),
     Check("angle of the knee", Emcy.MONITOR_ANGLE, _angle),
     Check("speed of the knee", Emcy.MONITOR_SPEED, _speed),
     Check("heartbeats of master and drives", Emcy.MONITOR_HEARTBEAT, _heartbeats),
@@ -173,7 +174,8 @@ def step(state: MonitorState, bounds: Bounds, master: int, drives: Sequence[int]
     at_work = any(beat.node in drives and beat.state == NmtState.OPERATIONAL for beat in heard)
     working_ns = -1 if not at_work else state.working_ns if state.working_ns >= 0 else time_ns
     state = state._replace(heard=heard, working_ns=working_ns)
-    present = Present(state, time_ns, now, state.history[0] if state.history else now, watched)
+    course = (*(state.history or (now,) * WINDOW), now)
+    present = Present(state, time_ns, course, watched)
     broken = next(((check.code, text) for check in CHECKS if (text := check.breach(present, bounds))), None)
-    state = state._replace(time_ns=time_ns, history=(*state.history, now)[-WINDOW:])
+    state = state._replace(time_ns=time_ns, history=course[-WINDOW:])
     return state if broken is None else state._replace(cause=broken[0], text=broken[1])

@@ -67,9 +67,8 @@ class MonitorNode:
         """Make the step that is due, open the line if it breaks a bound, and send what is due."""
         if self._step_ns is None or now_ns < self._step_ns:
             return
-        before = self.state
-        self.state = step(before, self.bounds, self._master, self._drives, now_ns, self._frames,
-                          self._sensors(now_ns))
+        before, sensed = self.state, self._sensors(now_ns)
+        self.state = step(before, self.bounds, self._master, self._drives, now_ns, self._frames, sensed)
         self._frames.clear()
         self._step_ns = now_ns + STEP_NS
         if before.enabled and not self.state.enabled:
@@ -84,8 +83,7 @@ class MonitorNode:
     def bus_off(self, now_ns: int) -> None:
         """Do nothing: the checks need no bus, and heartbeats that are missing open the line."""
 
-    def bus_recovered(self, now_ns: int) -> None:
-        """Do nothing."""
+    bus_recovered = bus_off
 
     def _send(self, now_ns: int) -> None:
         if now_ns >= self._beat_ns:

@@ -1,4 +1,4 @@
-"""The bounds of one person: a TOML file with eight numbers, read whole or refused, and its digest."""
+"""The bounds of one person: a TOML file with nine numbers, read whole or refused, and its digest."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ RANGES: Final[Mapping[str, tuple[str, float, float]]] = MappingProxyType({
     "start_n": ("N", 1.0, 120.0),
     "end_n": ("N", 1.0, 90.0),
     "force_rate_n_s": ("N/s", 100.0, 20_000.0),
+    "rope_m_s": ("m/s", 0.01, 2.0),
     "knee_low_deg": ("degrees", -130.0, 0.0),
     "knee_high_deg": ("degrees", -130.0, 30.0),
     "knee_deg_s": ("degrees/s", 10.0, 900.0),
@@ -40,6 +41,7 @@ class Bounds:
     start_n: float
     end_n: float
     force_rate_n_s: float
+    rope_m_s: float
     knee_low_deg: float
     knee_high_deg: float
     knee_deg_s: float
@@ -57,7 +59,7 @@ def read(path: Path) -> Bounds:
     """Return the bounds in a file; raises `PersonError` unless every key is there, once, and within its range."""
     try:
         if path.stat().st_size > LARGEST_BYTES:
-            raise PersonError(f"{path}: more than {LARGEST_BYTES} bytes; a person's file has nine lines: name another.")
+            raise PersonError(f"{path}: more than {LARGEST_BYTES} bytes; a person's file has ten lines: name another.")
         content = path.read_bytes()
         table = tomllib.loads(content.decode("utf-8"))
     except OSError as error:

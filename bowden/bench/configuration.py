@@ -51,11 +51,11 @@ def declaration(section: str) -> type[Any]:
     return found
 
 
-def read(path: Path | None, *, any_shape: bool = False) -> dict[str, Any]:
+def read(path: Path | None, *, any_shape: bool = False, person: Path | None = None) -> dict[str, Any]:
     """Return every section as its checked dataclass; sections absent from the file, or no file, give the defaults.
 
     Raises `InputError` for a declared bench of a shape that does not run, unless `any_shape`: the wire of every shape
-    can be planned.
+    can be planned. `person`: the file of the safety monitor's bounds, in place of the one that the file names.
     """
     given = read_toml(path) if path else {}
     arrays = {name: given.pop(name) for name in ARRAYS if name in given}
@@ -68,7 +68,8 @@ def read(path: Path | None, *, any_shape: bool = False) -> dict[str, Any]:
     given["limits"], own = _apart(given.get("limits", {}))
     read = {name: from_table(declaration(name), given.get(name, {}), where=f"{path} [{name}]")
             for name in TABLES if name in SECTIONS or name in MONITOR or name in given}
-    monitor = monitored(read.pop("monitor").file, path)
+    named = read.pop("monitor").file
+    monitor = monitored(named, path) if person is None else monitored(str(person), None)
     mappings = {name: _beside(path, read.pop(name)) for name in DEVICES if name in read}
     bench = _bench(mappings, arrays, path, any_shape)
     return read | {"network": dataclasses.replace(read["network"], bench=bench, monitor=monitor),

@@ -30,7 +30,7 @@ class Board(Protocol):
     """Protocol of the hardware of a monitor: its own sensors, and the output that holds the enable line."""
 
     def sensors(self, now_ns: int) -> Sequence[PathInputs]:
-        """Return the monitor's own inputs, one row a force path: N, N, degrees; NaN where a sensor has no value."""
+        """Return the monitor's own inputs, one row a force path: N, N, degrees, m; NaN where a sensor has no value."""
 
     def line(self, closed: bool) -> None:
         """Close or open the enable line; a board whose program has died must open it by itself (watchdog)."""

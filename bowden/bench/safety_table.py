@@ -33,8 +33,8 @@ def _monitored(person: str) -> dict[str, str]:
     bounds = read_toml(Path(person))
     held = {
         "START tension": "{start_n} N", "START tension without the master": "{start_n} N", "END tension": "{end_n} N",
-        "knee angle": "{knee_low_deg}° … {knee_high_deg}°", "knee speed": "{knee_deg_s} °/s",
-        "master lost": "{heartbeat_ms} ms"}
+        "rope speed": "{rope_m_s} m/s", "knee angle": "{knee_low_deg}° … {knee_high_deg}°",
+        "knee speed": "{knee_deg_s} °/s", "master lost": "{heartbeat_ms} ms"}
     return {function: text.format_map(bounds) for function, text in held.items()}
 
 

@@ -74,7 +74,8 @@ class Experiment:
             peak_given=self.peak_n is not None, walk=sections["walk"], rate_hz=sections["network"].rate_hz)
         for note in notes:
             progress.remark(note)
-        model = None if self.model is None else self._model(bus)
+        model = self.model if self.model is None else (
+            Path(self.model) if isinstance(self.model, str | Path) else model_files.given(self.model))
         return session.prepare(
             sections, reference, model, bus, dry_run=self.dry_run,
             knee=knee, files=provenance.curves(knee=knee, desired=desired),
@@ -86,12 +87,6 @@ class Experiment:
             given["controller"] = _name(given["controller"])
         return configuration.override(section, {name: (f"Experiment({name}=…)", value)
                                                 for name, value in given.items()})
-
-    def _model(self, bus: BusSettings) -> model_files.BenchModel:
-        """Return the model, checked to be of this bench if it names one."""
-        if isinstance(self.model, str | Path):
-            return model_files.read(self.model, bench=bus.bench)
-        return model_files.given(self.model)
 
 
 def _name(controller: str | type[Any] | None) -> str | None:

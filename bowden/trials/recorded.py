@@ -17,10 +17,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from parameters import InputError
+from parameters import InputError, read_toml
 
 if TYPE_CHECKING:
-    from eds.declaration import DeclaredDevice
     from master.motion.experiment_run import ExperimentSetup
     from physics.calibration import Calibration
     from trial.read import Trial
@@ -81,22 +80,26 @@ def sections(recorded: Trial) -> dict[str, Any]:
     if "bench.toml" not in recorded.attachments:
         return configuration.read(None)
     with _unpacked(recorded, ("bench.toml",)) as folder:
-        found = configuration.read(folder / "bench.toml")
+        monitor = read_toml(folder / "bench.toml").get("monitor")
+        named = monitor.get("file") if isinstance(monitor, dict) else None
+        person = _own_file(recorded, named, "the safety monitor") if named and isinstance(named, str) else None
+        found = configuration.read(folder / "bench.toml", person=person)
     bench = found["network"].bench
-    inside = {device.node_id: dataclasses.replace(device.mapping, file=str(_own_file(recorded, device)))
-              for device in bench.devices if device.mapping.file}
+    inside = {device.node_id: dataclasses.replace(
+        device.mapping, file=str(_own_file(recorded, device.mapping.file, device.name)))
+        for device in bench.devices if device.mapping.file}
     return {**found, "network": dataclasses.replace(found["network"], bench=bench.mapped(inside))}
 
 
-def _own_file(recorded: Trial, device: DeclaredDevice) -> Path:
-    """Return a copy of a device's file from the trial's attachments, never a file of this computer.
+def _own_file(recorded: Trial, named: str, place: str) -> Path:
+    """Return a copy of a file that bench.toml names, from the trial's attachments, never a file of this computer.
 
     A received file must not decide which files are read. Raises `InputError` where it is not attached.
     """
-    name = Path(device.mapping.file).name
+    name = Path(named).name
     if name not in recorded.attachments:
-        raise InputError(f"{recorded.path}: its bench.toml names {device.mapping.file!r} for {device.name}, which is "
-                         "not attached; a recording reads its devices from its own attachments alone.")
+        raise InputError(f"{recorded.path}: its bench.toml names {named!r} for {place}, which is not attached; a "
+                         "recording reads the files of its bench from its own attachments alone.")
     content = recorded.attachments[name]
     path = _copies() / sha256(content).hexdigest() / name
     if not path.exists():
@@ -107,7 +110,7 @@ def _own_file(recorded: Trial, device: DeclaredDevice) -> Path:
 
 @functools.cache
 def _copies() -> Path:
-    """Return the folder of the copies, which lasts as long as this process: devices are read after their trial."""
+    """Return the folder of the copies, which lasts as long as this process: they are read after their trial."""
     folder = tempfile.mkdtemp(prefix="bowden-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)

@@ -160,9 +160,11 @@ def prepare(
     """Join sections to an experiment that can be run; raises `InputError` if it cannot.
 
     `calibration` is the bench model that the controller works from, `controller_model` one whose effects it
-    compensates, too: files, or their content. `knee` is the file of the strides that a walk plays.
+    compensates, too: files, or their content. `knee` is the file of the strides that a walk plays. A bench with a limb
+    is refused without a file of recent set-up checks.
     """
-    from bowden.trials import provenance
+    from bowden.bench import configuration, safety_table
+    from bowden.trials import provenance, setup_checks
     from eds.bench import bus_load
     from eds.bench.bench_network import wire
     from master.control import controller
@@ -172,6 +174,11 @@ def prepare(
     from physics.calibration import refuse_beyond_validity
 
     bus_load.refuse(wire(sections["network"]))
+    configuration.refuse_raised(sections["limits"], "this bench")
+    safety_table.refuse_unheld(sections, "this bench")
+    file = calibration if isinstance(calibration, Path) else None
+    setup_checks.refuse_unchecked(sections, file)
+    files = {**(files or {}), **setup_checks.attached(file)}
     gait = sections["gait"]
     kind = controller.find(gait.controller, where="--controller")
     if script is not None:
@@ -186,7 +193,7 @@ def prepare(
     if walking and (script is not None or force_paths.several(sections["network"].bench)):
         raise InputError("--strides and --phase felt belong to the gait of one force path; leave them out.")
     if force_paths.several(sections["network"].bench):
-        return _several_paths(sections, reference, calibration, controller_model, chosen, dry_run, script, files or {})
+        return _several_paths(sections, reference, calibration, controller_model, chosen, dry_run, script, files)
     bench = _bench(chosen)
     model, told = _read(calibration, bench), _read(controller_model, bench)
     measured = next((known for known in (model, told) if known is not None and known.values), nominal()).calibration
@@ -194,7 +201,7 @@ def prepare(
     experiment = ExperimentSetup(reference=reference, calibration=measured, dry_run=dry_run,
                                  strides=strides(knee, walk), **beyond(model, told), **sections)
     attached = controller_model or (model if any(beyond(model).values()) else None)
-    return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(attached)},
+    return Prepared(experiment, sections, chosen, {**files, **provenance.controller_model(attached)},
                     script or "", controller.signals(kind, walking))
 
 

@@ -98,10 +98,11 @@ class BowdenPlant:
         """Close or open the enable line (STO) of both stages: open, they give no torque, whatever is demanded."""
         self.enabled = closed
 
-    def second_sensors(self) -> tuple[float, float, float]:
-        """Return the readings of a second set of sensors: tension at START and END, N, and the leg's angle, rad."""
+    def second_sensors(self) -> tuple[float, float, float, float]:
+        """Return the readings of a second set of sensors: tensions at START and END, N, leg angle, rad, and rope, m."""
         memory = self._memory
-        return float(memory[SLOT.tension]), float(memory[SLOT.tension + NODES]), float(memory[SLOT.leg_q])
+        return (float(memory[SLOT.tension]), float(memory[SLOT.tension + NODES]), float(memory[SLOT.leg_q]),
+                float(memory[SLOT.servo_x]))
 
     def extend(self, terms: Sequence[Term], where: str) -> None:
         """Let parameters follow `terms`; raises `InputError`, which names `where`, for one that a plant cannot follow.

@@ -201,6 +201,22 @@ def test_a_recording_names_no_file_outside_itself(tmp_path: Path, place: str) ->
         recorded.sections(opened(path))
 
 
+def test_a_recordings_monitor_has_the_attached_bounds_and_no_file_of_this_computer(tmp_path: Path) -> None:
+    """A recording with a monitor could not be read at all; one that named a file elsewhere read that."""
+    import safety_monitor
+
+    content = safety_monitor.packaged().read_bytes().replace(b'"packaged"', b'"P-017"')
+    secret = tmp_path / "elsewhere.toml"
+    secret.write_bytes(content)
+    for named in (str(secret), f"../{tmp_path.name}/{secret.name}", "packaged"):
+        path = trial_with(tmp_path, f'[monitor]\nfile = "{named}"\n')
+        with pytest.raises(InputError, match=r"names .* for the safety monitor, which is not attached"):
+            recorded.sections(opened(path))
+        path.unlink()
+    path = trial_with(tmp_path, '[monitor]\nfile = "person.toml"\n', **{"person.toml": content})
+    assert safety_monitor.read(Path(recorded.sections(opened(path))["network"].monitor)).person == "P-017"
+
+
 def test_a_recordings_device_is_read_from_its_attachment(tmp_path: Path) -> None:
     """Wherever the operator's file was: the attached one is read, also after the trial is closed."""
     from eds.bench.bench_network import wire

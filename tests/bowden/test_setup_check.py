@@ -6,11 +6,13 @@ import datetime
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from bowden import Experiment, simulated
 from bowden.bench import configuration
 from bowden.trials import setup_checks
 from parameters import InputError
@@ -58,6 +60,17 @@ def test_a_trial_with_a_limb_runs_on_a_checked_bench_alone(bowden: Callable[...,
     status, _, err = walked(bowden)
     assert status == 0, err
     assert "[[setup_check]]" in opened(bench / "trial.mcap").attachments["setup_check.toml"].decode()
+
+
+def test_the_library_refuses_a_limb_on_a_bench_that_was_not_checked(bowden: Callable[..., Any], bench: Path) -> None:
+    """Before, `bowden.run` ran it: only the command looked."""
+    walk = Experiment(configuration=bench / "bench.toml", model=bench / "calibration.toml", cycles=1, settle=0)
+    with pytest.raises(InputError, match="start was not checked with a weight of at least 10 N"):
+        walk.prepared(simulated(serial=0))
+    with pytest.raises(InputError, match="a trial with a limb needs a checked bench, and no --calibration is given"):
+        replace(walk, model=None).prepared(simulated(serial=0))
+    assert checked(bowden)[0] == 0
+    assert "setup_check.toml" in walk.prepared(simulated(serial=0)).files
 
 
 @pytest.mark.parametrize("name", FAULTS)

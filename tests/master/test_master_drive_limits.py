@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from bowden import Experiment, run
 from bowden.bench import configuration
 from bowden.cli.app import run as command_line
 from eds.bench.bench_network import KNEE, SERVO, Network, wire
@@ -22,6 +23,7 @@ from master.network import bringup
 from master.network.drive_limits import TORQUE, DriveLimit, drive_limits
 from master.network.link import Link
 from master.settings import Limits
+from parameters import InputError
 from physics.reference import paper_reference
 from tests.faults import bought_drive, plants
 from trial.read import open as opened
@@ -104,6 +106,8 @@ def test_a_limit_that_nobody_holds_needs_a_reason_or_a_monitor(
     assert told["held_by_nobody"] == ["START tension without the master of leg", "torque of the rope drive of leg"]
     assert command_line(["home", "--config", str(bought)]) == 2
     assert "nobody holds START tension without the master of leg" in capsys.readouterr().err
+    with pytest.raises(InputError, match="nobody holds START tension without the master of leg"):
+        run(Experiment(configuration=bought, cycles=1, settle=0))
     described = wire(configuration.read(bought)["network"])
     watched = holders(described, Limits(), {"START tension without the master": "65 N"})
     assert [row.held_by for row in watched if row.function.startswith("START tension")] == ["master", "monitor"]

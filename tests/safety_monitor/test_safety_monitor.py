@@ -31,7 +31,7 @@ from virtual_bus.bus import BowdenBus
 
 ROOT = Path(__file__).parents[2]
 BOUNDS = read(packaged())
-REST = PathInputs(0.0, 0.0, -20.0)
+REST = PathInputs(0.0, 0.0, -20.0, 0.0)
 NODES = (MASTER, SERVO, KNEE)
 
 
@@ -60,7 +60,8 @@ AT_WORK = beats({MASTER: 5, SERVO: 5, KNEE: 5})
     (REST._replace(knee_deg=BOUNDS.knee_low_deg - 0.1), Emcy.MONITOR_ANGLE),
     (REST._replace(knee_deg=BOUNDS.knee_high_deg + 0.1), Emcy.MONITOR_ANGLE),
     *((REST._replace(**{name: math.nan}), code) for name, code in (
-        ("start_n", Emcy.MONITOR_START), ("end_n", Emcy.MONITOR_END), ("knee_deg", Emcy.MONITOR_ANGLE))),
+        ("start_n", Emcy.MONITOR_START), ("end_n", Emcy.MONITOR_END), ("knee_deg", Emcy.MONITOR_ANGLE),
+        ("rope_m", Emcy.MONITOR_ROPE))),
     (REST._replace(end_n=math.inf), Emcy.MONITOR_END),
 ])
 def test_a_value_beyond_its_bound_or_no_number_opens_the_line_in_one_step(path: PathInputs, code: Emcy) -> None:
@@ -75,6 +76,18 @@ def test_rates_are_bounded_over_their_window_and_a_falling_tension_is_not() -> N
     assert run([REST._replace(start_n=50.0 - path.start_n) for path in rise]).enabled
     swing = [REST._replace(knee_deg=-60.0 + 1.1 * BOUNDS.knee_deg_s * per_step * n) for n in range(2 * WINDOW)]
     assert run(swing).cause is Emcy.MONITOR_SPEED
+
+
+def test_the_rope_is_bounded_ahead_of_a_drum_that_gains_speed_and_may_pay_out_faster() -> None:
+    per_step = 1e-9 * STEP_NS
+    wound = np.cumsum(np.minimum(np.arange(100) / 50.0, 1.0)) * 0.8 * BOUNDS.rope_m_s * per_step
+    assert run([REST._replace(rope_m=rope) for rope in wound]).enabled
+    assert run([REST._replace(rope_m=-3.0 * rope) for rope in wound]).enabled
+    assert run([REST._replace(rope_m=1.3 * rope) for rope in wound]).cause is Emcy.MONITOR_ROPE
+    falling = [REST._replace(rope_m=0.5 * 80.0 * (per_step * n) ** 2) for n in range(20)]
+    stopped = run(falling)
+    assert stopped.cause is Emcy.MONITOR_ROPE
+    assert stopped.time_ns <= 6 * STEP_NS, "before the drum is at 0.5 m/s when the torque goes, 5 ms later"
 
 
 def test_the_angle_is_bounded_ahead_of_a_leg_that_moves_towards_its_end() -> None:

@@ -104,8 +104,8 @@ class SwitchedPlant(Plant, Protocol):
     def enable(self, closed: bool) -> None:
         """Close or open the enable line (STO) of both stages."""
 
-    def second_sensors(self) -> tuple[float, float, float]:
-        """Return tension at START and END, N, and the joint's angle, rad, by sensors that no device has."""
+    def second_sensors(self) -> tuple[float, float, float, float]:
+        """Return tension at START and END, N, joint angle, rad, and rope wound in, m, by sensors that no device has."""
 
 
 START_FEELS = Outputs._fields.index("start_n")

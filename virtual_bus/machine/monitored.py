@@ -22,6 +22,9 @@ CELL_N: Final = 200.0 / 4096
 ANGLE_DEG: Final = 360.0 / 16384
 """Quantisation step of a second angle sensor, degrees: 14 bits of a turn; assumed."""
 
+ROPE_M: Final = 2.0 * math.pi * 0.02 / 16384
+"""Quantisation step of a second encoder at the drum, m of rope: 14 bits of a turn; assumed."""
+
 
 class SensedPath(NamedTuple):
     """One force path as the monitor's sensors see it."""
@@ -53,9 +56,10 @@ class EnableLine:
         del now_ns  # the plant stands at the tick of this instant
         found = []
         for path, plant in self._paths:
-            start_n, end_n, angle_rad = plant.second_sensors()
+            start_n, end_n, angle_rad, rope_m = plant.second_sensors()
             degrees = math.degrees(mirrored_rad(path, angle_rad))
-            found.append(PathInputs(_rounded(start_n, CELL_N), _rounded(end_n, CELL_N), _rounded(degrees, ANGLE_DEG)))
+            found.append(PathInputs(_rounded(start_n, CELL_N), _rounded(end_n, CELL_N), _rounded(degrees, ANGLE_DEG),
+                                    _rounded(rope_m, ROPE_M)))
         return found
 
     def switch(self, closed: bool) -> None:

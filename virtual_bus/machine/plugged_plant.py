@@ -48,20 +48,21 @@ class PluggedPlant:
         if inform is not None:
             inform(closed)
 
-    def second_sensors(self) -> tuple[float, float, float]:
-        """Return the plug-in's second set of sensors, see `BowdenPlant`; without one, its true tensions and leg.
+    def second_sensors(self) -> tuple[float, float, float, float]:
+        """Return the plug-in's second set of sensors, see `BowdenPlant`; without one, its true tensions, leg and rope.
 
         Raises `InputError` if the plug-in has neither.
         """
         measure = getattr(self._plant, "second_sensors", None)
         if measure is not None:
-            start_n, end_n, knee_rad = measure()
-            return float(start_n), float(end_n), float(knee_rad)
+            start_n, end_n, knee_rad, rope_m = measure()
+            return float(start_n), float(end_n), float(knee_rad), float(rope_m)
         true = self._plant.truth()
         if self._held is None or not {"true_start_n", "true_end_n"} <= set(true):
             raise InputError(f"plant {self._name!r}: has neither second_sensors() nor true_start_n and true_end_n in "
                              "truth(), one of which a safety monitor measures with; see docs/plants.md.")
-        return float(true["true_start_n"]), float(true["true_end_n"]), self._held.knee_angle_rad
+        held = self._held
+        return float(true["true_start_n"]), float(true["true_end_n"]), held.knee_angle_rad, held.servo_position_m
 
     def truth(self) -> Mapping[str, float]:
         """Return the plug-in's true signals."""

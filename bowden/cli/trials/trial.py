@@ -62,7 +62,7 @@ def trial(
     from bowden import output_files
     from bowden.bench import configuration, light_can
     from bowden.cli import ending
-    from bowden.trials import provenance, repeated_motion, session, setup_checks
+    from bowden.trials import provenance, repeated_motion, session
 
     light_can.load()
     output_files.refuse_ending(output, ".mcap", what="a trial")
@@ -74,7 +74,6 @@ def trial(
         **own, **walk.given(), "--dry-run": dry_run or None, "--homing-n": homing_n})
     sections = reached.sections(config, rate)
     sections["network"] = configuration.with_monitor(sections["network"], monitor)
-    setup_checks.refuse_unchecked(sections, calibration)
     sections["homing"] = configuration.homing(sections["homing"], homing_n)
     entered = session.entered(sections, logbook, config)
     bench = watched.bench(entered)
@@ -88,8 +87,7 @@ def trial(
             peak_given=walk.peak is not None, walk=sections["walk"], rate_hz=sections["network"].rate_hz)
         prepared = session.prepare(sections, reference, calibration, chosen, dry_run=dry_run, script=experiment,
                                    knee=knee, controller_model=controller_model,
-                                   files={**provenance.curves(knee=knee, desired=desired),
-                                          **setup_checks.attached(calibration)})
+                                   files=provenance.curves(knee=knee, desired=desired))
         for note in notes:
             terminal.remark(note)
     with (_watches(bench, output, sections["network"], chosen, json) as watches,
