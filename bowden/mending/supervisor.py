@@ -155,7 +155,7 @@ class _Run:
             return None
 
         def plan() -> dict[str, Any]:
-            proposed = of_trials(list(trials), list(self.reference)).proposed
+            proposed = of_trials(list(trials), list(self.reference)).proposed_beside
             return {"experiment": None if proposed is None else proposed.name}
 
         name = self.journal.step(f"plan {len(tried) + 1}", plan)["experiment"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,9 +35,19 @@ class ExperimentPlan:
     @property
     def proposed(self) -> PlannedExperiment | None:
         """The experiment to run; None where none that the bench runs by itself is likely to decide."""
+        return next(self._deciding(), None)
+
+    @property
+    def proposed_beside(self) -> PlannedExperiment | None:
+        """The experiment to diagnose together with the trials; a repeated motion is diagnosed alone."""
+        from diagnosis.evidence.identical_motion import REPEAT
+
+        return next((one for one in self._deciding() if one.name != REPEAT), None)
+
+    def _deciding(self) -> Iterator[PlannedExperiment]:
         from diagnosis.evidence.experiment_prediction import DECIDES
 
-        return next((one for one in self.experiments if one.best >= DECIDES), None)
+        return (one for one in self.experiments if one.best >= DECIDES)
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values."""
