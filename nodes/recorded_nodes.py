@@ -25,7 +25,7 @@ Hook = tuple[int, int]
 """COB-ID of a master's frame, and number of frames with that COB-ID before it."""
 
 
-class Heard(NamedTuple):
+class MasterFrame(NamedTuple):
     """A frame of the master, and the time of its end."""
 
     time_ns: int
@@ -51,7 +51,7 @@ class RecordedNodes:
         self.node_id = 1
         self.filters = masters
         self.outbox: deque[Frame] = deque()
-        self.heard: list[Heard] = []
+        self.heard: list[MasterFrame] = []
         self.left = 0
         self.last_ns = 0
         self._counts: Counter[int] = Counter()
@@ -93,7 +93,7 @@ class RecordedNodes:
 
     def receive(self, frame: Frame, now_ns: int) -> None:
         """Receive a frame of the master."""
-        self.heard.append(Heard(now_ns, frame))
+        self.heard.append(MasterFrame(now_ns, frame))
         self.last_ns = now_ns
         can_id = frame.can_id
         self._release((can_id, self._counts[can_id]), now_ns)

@@ -14,7 +14,7 @@ import numpy as np
 
 from bowden.replay.comparison import Comparison
 from bowden.replay.schedule import Integers, Rows, frame_of
-from nodes.recorded_nodes import Heard, OnWire
+from nodes.recorded_nodes import MasterFrame, OnWire
 from trial.mcap_file import cdr
 
 
@@ -42,7 +42,7 @@ class MasterComparison(Comparison[FrameDifference]):
     timing_max_us: float
 
 
-def compare(recorded: Sequence[Heard], live: Sequence[Heard]) -> MasterComparison:
+def compare(recorded: Sequence[MasterFrame], live: Sequence[MasterFrame]) -> MasterComparison:
     """Compare two masters COB-ID by COB-ID: the n-th frame of one with the n-th of the other."""
     one, other = _by_cob_id(recorded), _by_cob_id(live)
     differences: list[FrameDifference] = []
@@ -69,7 +69,7 @@ def compare(recorded: Sequence[Heard], live: Sequence[Heard]) -> MasterCompariso
                             differing=dict(sorted(counted.items())), first=first)
 
 
-def _by_cob_id(heard: Sequence[Heard]) -> dict[int, list[tuple[int, str]]]:
+def _by_cob_id(heard: Sequence[MasterFrame]) -> dict[int, list[tuple[int, str]]]:
     """Time from the first frame, ns, and payload of each frame."""
     found: dict[int, list[tuple[int, str]]] = {}
     for time_ns, frame in heard:
@@ -83,7 +83,7 @@ def on_wire(frames: Rows, lengths_ns: Integers) -> list[OnWire]:
             for row, length in zip(frames, lengths_ns, strict=True) if not row["flags"] & cdr.ERROR]
 
 
-def said(frames: Rows, masters: frozenset[int]) -> list[Heard]:
+def said(frames: Rows, masters: frozenset[int]) -> list[MasterFrame]:
     """Return the master's frames of a recording."""
     chosen = frames[np.isin(frames["can_id"], list(masters)) & (frames["flags"] & cdr.ERROR == 0)]
-    return [Heard(int(row["time_ns"]), frame_of(row)) for row in chosen]
+    return [MasterFrame(int(row["time_ns"]), frame_of(row)) for row in chosen]

@@ -1,4 +1,4 @@
-"""EMCY producer: error register 0x1001, error history 0x1003, COB-ID 0x1014, inhibit time 0x1015.
+"""EMCY producer: error register 0x1001, history 0x1003, COB-ID 0x1014, inhibit time 0x1015 (CiA 301, 7.5.2.17 f.).
 
 One message when an error comes, one when it goes, none while it lasts (CiA 301, 7.2.7). Messages held back by the
 inhibit time or by STOPPED are sent later, from STOPPED only the newest.

@@ -1,4 +1,4 @@
-"""Heartbeat producer (0x1017) and consumer (0x1016).
+"""Heartbeat producer (0x1017) and consumer (0x1016), CiA 301, 7.2.8.3.2.2, 7.5.2.19 and 7.5.2.20.
 
 The rule of this file: the producer keeps its period without drift; the consumer starts at the first heartbeat it
 hears and reports each loss once.

@@ -1,4 +1,4 @@
-"""NMT slave: states, commands, boot-up, resets.
+"""NMT slave (CiA 301, 7.2.8 and 7.3.2): states, commands, boot-up, resets.
 
 The rule of this file: the state changes only by `eds.cia301.NMT_TRANSITIONS`, by a boot-up, or by 0x1029.
 """

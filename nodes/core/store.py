@@ -1,4 +1,4 @@
-"""Stored parameters: 0x1010 save, 0x1011 load, 0x1020 verify configuration.
+"""Stored parameters: 0x1010 save, 0x1011 load, 0x1020 verify configuration (CiA 301, 7.5.2.13, 7.5.2.14, 7.5.2.23).
 
 Only parameters are stored, never process data or computed values. The file is replaced whole or not at all; a damaged
 or foreign file is not used, with EMCY 0x6320.

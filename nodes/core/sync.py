@@ -1,4 +1,5 @@
-"""SYNC: 0x1005 COB-ID, 0x1006 period, 0x1007 window, 0x1019 counter overflow; consumer and producer.
+"""SYNC consumer and producer (CiA 301, 7.2.5): 0x1005 COB-ID, 0x1006 period, 0x1007 window (7.5.2.5 to 7.5.2.7), 0x1019
+counter overflow (7.5.2.22).
 
 The rule of this file: a SYNC of another length than 0x1019 announces is reported (EMCY 0x8240) and not obeyed.
 """

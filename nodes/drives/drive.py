@@ -19,7 +19,7 @@ from nodes.drives import rules
 from nodes.drives.axis import Axis
 from nodes.drives.homing import Phase
 from nodes.drives.modes import MODE_DISPLAY, ModesOfOperation
-from nodes.drives.set_point_law import Taker
+from nodes.drives.set_point_law import RpdoEffect
 from nodes.drives.state_machine import ERROR_CODE, RELEASE
 
 CONTROLWORD, STATUSWORD, MODE = key(0x6040), key(0x6041), key(0x6060)
@@ -147,9 +147,9 @@ class Drive(ModesOfOperation):
         """Return the statusword for each of the axis' flags (`law.IS_…`, 0 … 15), as the state machine is now."""
         return [self.base | self.mode_bits(flags) for flags in range(16)]
 
-    def steady_taker(self, at: int) -> Taker | None:
+    def rpdo_effect(self, at: int) -> RpdoEffect | None:
         """Return the effect of the object `at` of an RPDO on the axis; None if an event may follow from it."""
-        return self.position_taker() if at == TARGET_POSITION else None
+        return self.position_effect() if at == TARGET_POSITION else None
 
     def adopt(self, s: Any, g: Any, out: Any) -> None:
         """Use this memory for the axis' numbers from now on."""

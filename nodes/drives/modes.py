@@ -15,7 +15,7 @@ from eds.dictionary import key
 from nodes.drives import axis_law as law
 from nodes.drives import homing
 from nodes.drives.homing import Phase
-from nodes.drives.set_point_law import FOLLOWS, KEEPS, Taker
+from nodes.drives.set_point_law import FOLLOWS, KEEPS, RpdoEffect
 from nodes.drives.state_machine import StateMachine
 
 MODE_DISPLAY = key(0x6061)
@@ -137,15 +137,15 @@ class ModesOfOperation(StateMachine):
             self.device.recover(Emcy.POSITION_LIMIT)
         self.axis.target_position(target)
 
-    def position_taker(self) -> Taker | None:
+    def position_effect(self) -> RpdoEffect | None:
         """Return the effect of `to_position` on the axis at every target in the present mode; None if it may have
         others.
         """
         if self._open is not Mode.CSP or not self._commanded:
-            return Taker(KEEPS)
+            return RpdoEffect(KEEPS)
         if self._stepped or self.number(0x60B0):
             return None
-        return Taker(FOLLOWS, self.axis.unit, self.axis.origin, self.number(0x2017) or math.inf)
+        return RpdoEffect(FOLLOWS, self.axis.unit, self.axis.origin, self.number(0x2017) or math.inf)
 
     def to_velocity(self, value: int, _now_ns: int) -> None:
         """Apply a write to 0x60FF, target velocity."""

@@ -14,7 +14,7 @@ from eds.dictionary import key
 from nodes.core.interfaces import ProfileHost
 from nodes.drives import axis_law as law
 from nodes.drives.drive import Drive
-from nodes.drives.set_point_law import FEELS, NEWTON, NO_TENSION, Taker, feel
+from nodes.drives.set_point_law import FEELS, NEWTON, NO_TENSION, RpdoEffect, feel
 
 TENSION: Final = key(0x2011)
 HYSTERESIS_N: Final = 1.0
@@ -72,13 +72,13 @@ class ServoDrive(Drive):
         if tension > self._limit or self._above:
             self._press(tension, now_ns)
 
-    def steady_taker(self, at: int) -> Taker | None:
+    def rpdo_effect(self, at: int) -> RpdoEffect | None:
         """Return the handler of an object in a compiled cycle; that of START's tension below the rope's limit and
         without a fault.
         """
         if at != TENSION:
-            return super().steady_taker(at)
-        return None if self._no_tension or self._above else Taker(FEELS, most=self._limit)
+            return super().rpdo_effect(at)
+        return None if self._no_tension or self._above else RpdoEffect(FEELS, most=self._limit)
 
     def _press(self, tension: float, now_ns: int) -> None:
         above = tension > self._limit - (HYSTERESIS_N if self._above else 0.0)

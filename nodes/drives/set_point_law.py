@@ -22,7 +22,7 @@ KEEPS, FOLLOWS, FEELS = range(3)
 """Effect of a received object besides keeping its value: none; a new target; a tension."""
 
 
-class Taker(NamedTuple):
+class RpdoEffect(NamedTuple):
     """Effect of a received object, and its range: `FOLLOWS` by `unit` from `origin` over at most `most` counts;
     `FEELS` up to `most` N. Larger values need the drive's own code."""
 

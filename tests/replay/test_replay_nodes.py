@@ -19,7 +19,7 @@ from bowden.replay.plant_residuals import commands
 from eds.bench.bench_network import Network, wire
 from eds.cia301 import Frame
 from master.settings import Impedance
-from nodes.recorded_nodes import Heard, OnWire, RecordedNodes
+from nodes.recorded_nodes import MasterFrame, OnWire, RecordedNodes
 from trial.read import Trial
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
@@ -71,25 +71,25 @@ def test_nodes_say_nothing_to_a_master_that_asks_nothing() -> None:
     assert nodes.left == 5
 
 
-HEARD = [Heard(5 * MS, Frame(0x000, b"\1\0")), Heard(7 * MS, Frame(0x080)), Heard(9 * MS, Frame(0x201, b"ab")),
-         Heard(11 * MS, Frame(0x201, b"cd"))]
+HEARD = [MasterFrame(5 * MS, Frame(0x000, b"\1\0")), MasterFrame(7 * MS, Frame(0x080)), MasterFrame(9 * MS, Frame(0x201, b"ab")),
+         MasterFrame(11 * MS, Frame(0x201, b"cd"))]
 
 
 def test_two_masters_are_compared_from_their_first_frame() -> None:
-    later = [Heard(time_ns + 400 * MS + (2_000 if i == 2 else 0), frame) for i, (time_ns, frame) in enumerate(HEARD)]
-    found = compare(HEARD, [*later, Heard(500 * MS, Frame(0x080))])
+    later = [MasterFrame(time_ns + 400 * MS + (2_000 if i == 2 else 0), frame) for i, (time_ns, frame) in enumerate(HEARD)]
+    found = compare(HEARD, [*later, MasterFrame(500 * MS, Frame(0x080))])
     assert found.same
     assert (found.frames, found.beyond, found.timing_max_us) == (4, 1, 2.0)
 
 
 @pytest.mark.parametrize(("live", "cob_id", "number", "was", "now"), [
-    ([*HEARD[:2], Heard(9 * MS, Frame(0x201, b"aB")), HEARD[3]], 0x201, 0, "61 62", "61 42"),
+    ([*HEARD[:2], MasterFrame(9 * MS, Frame(0x201, b"aB")), HEARD[3]], 0x201, 0, "61 62", "61 42"),
     (HEARD[:3], 0x201, 1, "63 64", None),
-    ([*HEARD[:1], Heard(6 * MS, Frame(0x301, b"")), *HEARD[1:]], 0x301, 0, None, ""),
+    ([*HEARD[:1], MasterFrame(6 * MS, Frame(0x301, b"")), *HEARD[1:]], 0x301, 0, None, ""),
     ([], 0x000, 0, "01 00", None),
 ])
 def test_a_changed_a_missing_and_a_further_frame_are_told(
-    live: list[Heard], cob_id: int, number: int, was: str | None, now: str | None
+    live: list[MasterFrame], cob_id: int, number: int, was: str | None, now: str | None
 ) -> None:
     first = compare(HEARD, live).first
     assert first is not None

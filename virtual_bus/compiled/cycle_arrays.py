@@ -22,7 +22,7 @@ from physics.plant.state_layout import SIZE as PLANT
 from trial.mcap_file.cdr import FRAME_STRUCT
 from virtual_bus.bench import Bench
 from virtual_bus.compiled import cycle_code as law
-from virtual_bus.compiled.cycle_tables import Taking, sending, taking
+from virtual_bus.compiled.cycle_tables import RpdoRow, rpdo_row, tpdo_row
 from virtual_bus.machine.machine import Machine, MachineState
 from virtual_bus.wire.host import Socket, message_of
 from virtual_bus.wire.node_station import NodeStation
@@ -65,9 +65,9 @@ class Member(NamedTuple):
 class Tables(NamedTuple):
     """Rows of the TPDOs of a SYNC, rows of the RPDOs that a cycle's frames reach, and these RPDOs."""
 
-    sends: list[list[int]]
-    takes: list[Taking]
-    taken: list[ReceivePdo]
+    tpdo_rows: list[list[int]]
+    rpdo_rows: list[RpdoRow]
+    rpdos: list[ReceivePdo]
 
 
 class Arrays:
@@ -91,7 +91,7 @@ class Arrays:
         self.inputs: Any = self._bytes[:0]
         self.targets = self._bytes[:0]
         self.members = list(_members(machine))
-        self._taken: list[ReceivePdo] = []
+        self._rpdos: list[ReceivePdo] = []
         self._adopt()
 
     def _adopt(self) -> None:
@@ -113,7 +113,7 @@ class Arrays:
 
     def tables(self, asked: CycleRequest) -> Tables | None:
         """Return the rows of all PDOs in a cycle; None where one has none, or nodes send other ones than asked for."""
-        sends: list[list[int] | None] = []
+        sent: list[list[int] | None] = []
         receivers: list[tuple[int, int, ReceivePdo]] = []
         sizes, cyclic = {asked.targets_id: asked.size}, {asked.targets_id, *asked.inputs}
         for place, (_, device, application) in enumerate(self.members):
@@ -121,13 +121,13 @@ class Arrays:
             if steady is None or law.SYNC_ID not in device.filters or not mine <= steady.receive.keys():
                 return None
             for pdo in steady.transmit:
-                sends.append(sending(place, application, pdo))
+                sent.append(tpdo_row(place, application, pdo))
                 sizes[pdo.can_id] = pdo.plan.size
             receivers += [(place, can_id, steady.receive[can_id]) for can_id in sorted(mine)]
-        takes = [taking(place, self.members[place].application, pdo, sizes.get(can_id, -1), can_id == asked.targets_id)
-                 for place, can_id, pdo in receivers]
-        rows, known = [row for row in sends if row is not None], [row for row in takes if row is not None]
-        if len(rows) != len(sends) or len(known) != len(takes) or len(takes) > law.TAKES:
+        received = [rpdo_row(place, self.members[place].application, pdo, sizes.get(can_id, -1),
+                             can_id == asked.targets_id) for place, can_id, pdo in receivers]
+        rows, known = [row for row in sent if row is not None], [row for row in received if row is not None]
+        if len(rows) != len(sent) or len(known) != len(received) or len(received) > law.TAKES:
             return None
         if sorted(row[1] for row in rows) != sorted(asked.inputs):
             return None
@@ -158,16 +158,16 @@ class Arrays:
 
     def _fill_tables(self, asked: CycleRequest, tables: Tables) -> None:
         i, table = self.i, self._integers
-        i[law.SEND_COUNT], i[law.TAKE_COUNT] = len(tables.sends), len(tables.takes)
-        for n, row in enumerate(tables.sends):
+        i[law.SEND_COUNT], i[law.TAKE_COUNT] = len(tables.tpdo_rows), len(tables.rpdo_rows)
+        for n, row in enumerate(tables.tpdo_rows):
             _part(table, law.SEND, n, law.SEND_WIDTH)[:] = row
-        self._taken = tables.taken
-        for n, (taken, pdo) in enumerate(zip(tables.takes, tables.taken, strict=True)):
-            _part(table, law.TAKE, n, law.TAKE_WIDTH)[:] = taken.row
-            _part(self.f, law.F_ACTION, n, law.ACTION_WIDTH)[:] = taken.taker[1:]
+        self._rpdos = tables.rpdos
+        for n, (received, pdo) in enumerate(zip(tables.rpdo_rows, tables.rpdos, strict=True)):
+            _part(table, law.TAKE, n, law.TAKE_WIDTH)[:] = received.row
+            _part(self.f, law.F_ACTION, n, law.ACTION_WIDTH)[:] = received.effect[1:]
             at = law.TOOK + law.TOOK_WIDTH * n
             i[at], i[at + 2], i[at + 4] = 0, 0, pdo.due_ns
-        self.inputs = self._bytes[8 * law.SENT:8 * (law.SENT + 2 * len(tables.sends))]
+        self.inputs = self._bytes[8 * law.SENT:8 * (law.SENT + 2 * len(tables.tpdo_rows))]
         self.targets = self._bytes[8 * law.TARGETS_DATA:8 * law.TARGETS_DATA + asked.size]
 
     def _fill_nodes(self) -> None:
@@ -221,7 +221,7 @@ class Arrays:
 
     def _hand_back_nodes(self, ran: bool) -> None:
         i, now_ns = self.i, self._bench.kernel.now_ns
-        for n, pdo in enumerate(self._taken):
+        for n, pdo in enumerate(self._rpdos):
             at = law.TOOK + law.TOOK_WIDTH * n
             pdo.taken(bytes(self._bytes[8 * (at + 3):8 * (at + 3) + pdo.plan.size]) if i[at + 2] else None, i[at + 4])
         for place, (station, device, application) in enumerate(self.members):

@@ -48,7 +48,7 @@ TRUTHS: Final = 128
 """Rows of true signals that are collected before they are written."""
 TRUTH_WIDTH: Final = len(truth_row.NAMES)
 ACTION_WIDTH: Final = 3
-"""Unit, origin and range of an RPDO object's effect: `set_point_law.Taker`."""
+"""Unit, origin and range of an RPDO object's effect: `set_point_law.RpdoEffect`."""
 TOOK_WIDTH: Final = 5
 """Fields of an RPDO: waiting (1), data that waits, taken (1), data taken last, deadline."""
 PENDING_WIDTH: Final = 5

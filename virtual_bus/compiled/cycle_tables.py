@@ -11,21 +11,21 @@ from nodes import Drive, TensionSensor
 from nodes.core.pdo.receive_pdo import ReceivePdo
 from nodes.core.pdo.transmit_pdo import TransmitPdo
 from nodes.drives.rules import RULES
-from nodes.drives.set_point_law import Taker
+from nodes.drives.set_point_law import RpdoEffect
 from virtual_bus.compiled import cycle_code as law
 
 WIDEST = 32
 """Width of the widest field, bits."""
 
 
-class Taking(NamedTuple):
+class RpdoRow(NamedTuple):
     """An RPDO's row, and the effect of its data."""
 
     row: list[int]
-    taker: Taker
+    effect: RpdoEffect
 
 
-def sending(place: int, device: Drive | TensionSensor, pdo: TransmitPdo) -> list[int] | None:
+def tpdo_row(place: int, device: Drive | TensionSensor, pdo: TransmitPdo) -> list[int] | None:
     """Return the row of a TPDO of the node at `place`."""
     fields: list[int] = []
     for field in pdo.plan.fields:
@@ -39,28 +39,28 @@ def sending(place: int, device: Drive | TensionSensor, pdo: TransmitPdo) -> list
     return row + [0] * (law.SEND_WIDTH - len(row))
 
 
-def taking(place: int, device: Drive | TensionSensor, pdo: ReceivePdo, size: int, waits: bool) -> Taking | None:
+def rpdo_row(place: int, device: Drive | TensionSensor, pdo: ReceivePdo, size: int, waits: bool) -> RpdoRow | None:
     """Return the row of an RPDO of the node at `place`, for frames of `size` bytes; `waits`: it may wait for SYNC."""
-    taken = pdo.steady()
-    if taken is None or not isinstance(device, Drive) or taken.plan.size != size or len(taken.watched) > 1:
+    reception = pdo.steady()
+    if reception is None or not isinstance(device, Drive) or reception.plan.size != size or len(reception.watched) > 1:
         return None
-    if taken.synchronous and not waits:
+    if reception.synchronous and not waits:
         return None
-    shift, found, begins = 0, None, 0
-    for field in taken.plan.fields:
+    shift, mapped, begins = 0, None, 0
+    for field in reception.plan.fields:
         if not field.dummy:
-            if found is not None or field.code in ("", "f", "d") or field.bits > WIDEST:
+            if mapped is not None or field.code in ("", "f", "d") or field.bits > WIDEST:
                 return None
-            found, begins = field, shift
+            mapped, begins = field, shift
         shift += field.bits
-    if found is None or found.key in RULES or taken.watched != (found.key,):
+    if mapped is None or mapped.key in RULES or reception.watched != (mapped.key,):
         return None
-    taker = device.steady_taker(found.key)
-    if taker is None or any(at != found.key for at, _, _ in taken.bounds):
+    effect = device.rpdo_effect(mapped.key)
+    if effect is None or any(at != mapped.key for at, _, _ in reception.bounds):
         return None
-    _, low, high = taken.bounds[0] if taken.bounds else (0, None, None)
+    _, low, high = reception.bounds[0] if reception.bounds else (0, None, None)
     least = -(1 << WIDEST) if low is None else int(low)
     greatest = (1 << WIDEST) if high is None else int(high)
-    row = [place, pdo.can_id, size, int(taken.synchronous), taken.deadline_ns, taker.action, begins, found.bits,
-           int(found.signed), int(bool(taken.bounds)), least, greatest]
-    return Taking(row, taker)
+    row = [place, pdo.can_id, size, int(reception.synchronous), reception.deadline_ns, effect.action, begins,
+           mapped.bits, int(mapped.signed), int(bool(reception.bounds)), least, greatest]
+    return RpdoRow(row, effect)

@@ -1,4 +1,4 @@
-"""PDO mapping: which objects lie in which bits.
+"""PDO mapping: which objects lie in which bits (CiA 301, 7.5.2.36 and 7.5.2.38).
 
 The rule of this file: a mapping is judged once, by abort codes, and compiled once, into an `eds.pdo_plan.PdoPlan`.
 """

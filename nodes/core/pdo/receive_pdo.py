@@ -1,4 +1,4 @@
-"""One RPDO: length, deadline, SYNC window, take-over into the values.
+"""One RPDO: length, deadline, SYNC window, take-over into the values (CiA 301, 7.2.2; parameters 7.5.2.35).
 
 A frame's data are in the values of every mapped object before the application is informed of any of them; a value
 outside its object's limits is dropped for that object.
@@ -7,7 +7,7 @@ outside its object's limits is dropped for that object.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from eds.cia301 import SYNC_MAX, Emcy
 from eds.datatype import Value
@@ -19,9 +19,10 @@ from nodes.core.parts import FAR_NS, MS
 
 if TYPE_CHECKING:
     from nodes.core.device import Device
+    from nodes.core.pdo.pdos import Pdos
 
 
-class Taken(NamedTuple):
+class RpdoReception(NamedTuple):
     """Reception of an RPDO: plan, with SYNC or at once, deadline (0: none), keys that act, (key, least, greatest)."""
 
     pdo: ReceivePdo
@@ -32,14 +33,6 @@ class Taken(NamedTuple):
     bounds: tuple[tuple[int, float | None, float | None], ...]
 
 
-class ArrivedPdos(Protocol):
-    """The PDO part, as far as an RPDO reports to it: those that arrived since SYNC, and a look at events."""
-
-    arrived: list[ReceivePdo]
-
-    def look(self, now_ns: int) -> None: ...
-
-
 class ReceivePdo:
     """RPDO `number` (from 1), compiled from 0x1400 + number − 1; `can_id` is 0 while it does not exist."""
 
@@ -47,7 +40,7 @@ class ReceivePdo:
                  "_synchronous", "_unpack", "_watched", "can_id", "data", "due_ns", "number",
                  "plan")
 
-    def __init__(self, pdos: ArrivedPdos, device: Device, number: int) -> None:
+    def __init__(self, pdos: Pdos, device: Device, number: int) -> None:
         self._pdos, self._device, self.number = pdos, device, number
         self._fault: Emcy | None = None
         self._late = False
@@ -115,12 +108,12 @@ class ReceivePdo:
         self.due_ns, self._late = FAR_NS, True
         self._device.communication_lost(Emcy.RPDO_TIMEOUT, now_ns, self.number)
 
-    def steady(self) -> Taken | None:
+    def steady(self) -> RpdoReception | None:
         """Return how a compiled cycle handles a frame; None after an error or before the first frame."""
         if self._fault is not None or self._late or (self._deadline_ns and self.due_ns == FAR_NS):
             return None
         bounds = tuple((at, entry.low, entry.high) for at, _, entry in self._judged if entry is not None)
-        return Taken(self, self.plan, self._synchronous, self._deadline_ns, self._watched, bounds)
+        return RpdoReception(self, self.plan, self._synchronous, self._deadline_ns, self._watched, bounds)
 
     def taken(self, data: bytes | None, due_ns: int) -> None:
         """Take over the frames of compiled cycles: the last one's data, None for no frame, and the present deadline."""

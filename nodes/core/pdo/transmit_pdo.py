@@ -1,4 +1,4 @@
-"""One TPDO: conditions of its transmission.
+"""One TPDO: conditions of its transmission (CiA 301, 7.2.2; communication parameters 7.5.2.37).
 
 Synchronous TPDOs are sent at a SYNC. Event-driven ones are sent when their content changes or the event timer ends,
 never sooner than the inhibit time allows.

@@ -13,7 +13,7 @@ from typing import Final
 from eds.cia301 import Abort
 from nodes.core.parts import FAR_NS, US
 from nodes.core.sdo.sdo_segment import Write
-from nodes.core.sdo.sdo_transfer import SEGMENT, Received, Transfer, TransferAbortedError, multiplexer
+from nodes.core.sdo.sdo_transfer import SEGMENT, DownloadBuffer, Transfer, TransferAbortedError, multiplexer
 
 MAX_BLOCK: Final = 127
 """Segments in a block, as this server requests."""
@@ -31,7 +31,7 @@ class BlockDownload(Transfer):
 
     __slots__ = ("_crc", "_ending", "_received", "_sequence", "_write")
 
-    def __init__(self, key: int, received: Received, crc: bool, write: Write) -> None:
+    def __init__(self, key: int, received: DownloadBuffer, crc: bool, write: Write) -> None:
         super().__init__(key)
         self._received, self._crc, self._write = received, crc, write
         self._sequence = 0

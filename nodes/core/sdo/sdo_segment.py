@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Final
 
 from eds.cia301 import Abort
-from nodes.core.sdo.sdo_transfer import SEGMENT, Received, Transfer, TransferAbortedError
+from nodes.core.sdo.sdo_transfer import SEGMENT, DownloadBuffer, Transfer, TransferAbortedError
 
 Write = Callable[[int, bytes, int], int]
 """(key, data, now_ns) → 0 or an abort code."""
@@ -23,7 +23,7 @@ class SegmentDownload(Transfer):
 
     __slots__ = ("_received", "_toggle", "_write")
 
-    def __init__(self, key: int, received: Received, write: Write) -> None:
+    def __init__(self, key: int, received: DownloadBuffer, write: Write) -> None:
         super().__init__(key)
         self._received, self._write = received, write
         self._toggle = 0

@@ -12,7 +12,7 @@ from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Abort, Frame, NmtSta
 from nodes.core.parts import FAR_NS, MS, Handler, Part
 from nodes.core.sdo.sdo_block import BlockDownload, BlockUpload
 from nodes.core.sdo.sdo_segment import SegmentDownload, SegmentUpload
-from nodes.core.sdo.sdo_transfer import Received, Transfer, TransferAbortedError, multiplexer
+from nodes.core.sdo.sdo_transfer import DownloadBuffer, Transfer, TransferAbortedError, multiplexer
 
 if TYPE_CHECKING:
     from nodes.core.device import Device
@@ -143,11 +143,11 @@ class SdoServer(Part):
         self._transfer = transfer
         return transfer.accept()
 
-    def _receiving(self, key: int, announced: int | None) -> Received:
+    def _receiving(self, key: int, announced: int | None) -> DownloadBuffer:
         refusal = self._device.objects.may_download(key, announced)
         if refusal:
             raise TransferAbortedError(refusal)
-        return Received(self._device.objects.entries[key].data_type, announced)
+        return DownloadBuffer(self._device.objects.entries[key].data_type, announced)
 
     def _read(self, key: int, now_ns: int) -> bytes:
         found = self._device.upload(key, now_ns)

@@ -43,7 +43,7 @@ class Transfer:
         return None
 
 
-class Received:
+class DownloadBuffer:
     """Bytes of a download so far, checked against the announced size and the object's capacity."""
 
     __slots__ = ("_announced", "_limit", "data")
