@@ -71,12 +71,13 @@ def test_nodes_say_nothing_to_a_master_that_asks_nothing() -> None:
     assert nodes.left == 5
 
 
-HEARD = [MasterFrame(5 * MS, Frame(0x000, b"\1\0")), MasterFrame(7 * MS, Frame(0x080)), MasterFrame(9 * MS, Frame(0x201, b"ab")),
-         MasterFrame(11 * MS, Frame(0x201, b"cd"))]
+HEARD = [MasterFrame(5 * MS, Frame(0x000, b"\1\0")), MasterFrame(7 * MS, Frame(0x080)),
+         MasterFrame(9 * MS, Frame(0x201, b"ab")), MasterFrame(11 * MS, Frame(0x201, b"cd"))]
 
 
 def test_two_masters_are_compared_from_their_first_frame() -> None:
-    later = [MasterFrame(time_ns + 400 * MS + (2_000 if i == 2 else 0), frame) for i, (time_ns, frame) in enumerate(HEARD)]
+    later = [MasterFrame(time_ns + 400 * MS + (2_000 if i == 2 else 0), frame)
+             for i, (time_ns, frame) in enumerate(HEARD)]
     found = compare(HEARD, [*later, MasterFrame(500 * MS, Frame(0x080))])
     assert found.same
     assert (found.frames, found.beyond, found.timing_max_us) == (4, 1, 2.0)
