@@ -92,8 +92,9 @@ def trial(
             terminal.remark(note)
     with (_watches(bench, output, sections["network"], chosen, json) as watches,
           _page(web, output.name, sections["network"]) as page):
-        for watch in watches.values() if page is not None else ():
-            watch.show = page.suspected
+        if page is not None:
+            for watch in watches.values():
+                watch.show = page.suspected
         result = session.perform(
             prepared, output, picture, overwrite=overwrite, announce="" if json else _where(chosen),
             progress=terminal.Terminal(shown=not json and not watches),
