@@ -57,6 +57,18 @@ class Walk:
         0.03, "rad", "standard deviation of a stride from the mean stride at equal phase", low=1e-3, high=0.2,
         source="eleven strides of one walker: 1.7 degrees; docs/walking.md")
 
+    migration_m: float = parameter(
+        6e-3, "m", "shift of the rope's zero in a trial that is followed where strides differ: a garment migrates",
+        low=0.0, high=0.02, source="assumed; beyond it the trial ends")
+    migration_stride_m: float = parameter(
+        0.2e-3, "m", "most of it that is followed from one stride to the next", low=0.0, high=2e-3,
+        source="assumed: 6 mm in 30 strides")
+
+    @property
+    def migration(self) -> tuple[float, float]:
+        """Return by how much the rope's zero is followed, from stride to stride and in a trial, m."""
+        return (self.migration_stride_m, self.migration_m) if self.differs else (0.0, 0.0)
+
     @property
     def felt(self) -> bool:
         """Whether the desired force follows a felt phase; raises `InputError` for an unknown one."""

@@ -36,6 +36,7 @@ WALKING: Final = (
     Column("stride_percent", "%", "true phase of the stride that is played; unknown in a stumble or rest"),
     Column("phase_doubt_percent", "%", "standard deviation of the felt phase, gait_percent; 29 where there is none"),
     Column("phase_share", "1", "share of the desired force that is asked for; below 0 the rope is paid out instead"),
+    Column("followed_zero_m", "m", "shift of the rope's zero since homing that the controller follows"),
 )
 """Columns of a trial whose strides differ, or whose phase is felt."""
 _NAME: Final = re.compile("[a-z][a-z0-9_]*")
@@ -50,11 +51,13 @@ class Conditions(NamedTuple):
     """Settings of a controller in addition to the model and the gait.
 
     `homing`: the homing fit of this session; the default before homing.  `own`: the controller's own `parameters`.
+    `migration`: shift of the rope's zero that may be followed from one gait cycle to the next, and in a trial, m.
     """
 
     impedance: Impedance
     homing: HomingFit = HomingFit()
     own: Any = None
+    migration: tuple[float, float] = (0.0, 0.0)
 
 
 class Controller(Protocol[State]):
@@ -181,7 +184,7 @@ class WithEffects(Controller[State]):
         """Step the inner controller on its inputs without the effects, and put the effects into its targets."""
         undone = self._correction
         outputs, state, trace = self._within.step(undone.seen(seen, self._start_offset_n), state)
-        return undone.feed_forward(outputs, seen.index(len(undone.rope_m), self.ahead)), state, trace
+        return undone.feed_forward(outputs, seen.table_index(len(undone.rope_m), self.ahead)), state, trace
 
 
 def with_effects(

@@ -28,7 +28,7 @@ class ControllerInput(NamedTuple):
     rate: float = 1.0
     share: float = 1.0
 
-    def index(self, samples: int, ahead: int = 0) -> int:
+    def table_index(self, samples: int, ahead: int = 0) -> int:
         """Return the sample of a gait table of `samples` that is nearest, `ahead` control cycles later."""
         if self.place is None:
             return (self.sample + ahead) % samples
@@ -45,7 +45,8 @@ class ControllerOutput(NamedTuple):
 class Trace(NamedTuple):
     """Why the targets are what they are, NaN where a controller has no such thing.
 
-    The first two and the six after them are signals of `/cycle`; `own` are the values of the controller's own
+    The first two and the six after them are signals of `/cycle`; `zero_m` is the shift of the rope's zero since homing
+    that the controller follows; `own` are the values of the controller's own
     `columns`, in their order.
     """
 
@@ -57,6 +58,7 @@ class Trace(NamedTuple):
     rope_direction: float = NAN
     strain_direction: float = NAN
     estimated_end_half_n: float = NAN
+    zero_m: float = 0.0
     own: tuple[float, ...] = ()
 
     @property

@@ -77,7 +77,7 @@ class Correction:
 
     def seen(self, seen: ControllerInput, offset_n: float) -> ControllerInput:
         """Return what would be seen without the effects; `offset_n` is START's reading when slack."""
-        i = seen.index(len(self.rope_m))
+        i = seen.table_index(len(self.rope_m))
         start_n = (seen.start_n - offset_n - self.start_more_n[i]) / self.start_gain[i] + offset_n
         return seen._replace(servo_position_m=seen.servo_position_m - self.rope_m[i], start_n=start_n,
                              knee_angle_rad=seen.knee_angle_rad - self.knee_rad[i])

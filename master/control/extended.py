@@ -83,7 +83,8 @@ class ExtendedState(NamedTuple):
     desired positions, m, from this control cycle on. `resting`: control cycles before the feedback acts again.
     `learnt` and `tracked`: corrections by sample of the gait cycle, m, for the force and for the drive. `history`:
     linked list (sample, feedback, tracking error, observation, older) of the gait cycle so far. `place` and `rate`: of
-    the last control cycle, in samples of the gait; a felt phase makes them fractions.
+    the last control cycle, in samples of the gait; a felt phase makes them fractions. `shifted_m`: shift of the rope's
+    zero since homing, as it is followed.
     """
 
     law: Law
@@ -102,6 +103,7 @@ class ExtendedState(NamedTuple):
     history: Any = None
     place: float = 0.0
     rate: float = 1.0
+    shifted_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -126,10 +128,15 @@ class ExtendedConfig:
     start_gain: float
     least_n: float
     beyond: Array | None
+    migration: tuple[float, float]
 
 
-def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedance: Impedance) -> ExtendedConfig:
-    """Fold the constants from a calibration, what homing found of the day, the gait and the impedance."""
+def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedance: Impedance,
+              migration: tuple[float, float] = (0.0, 0.0)) -> ExtendedConfig:
+    """Fold the constants from a calibration, what homing found of the day, the gait and the impedance.
+
+    `migration`: shift of the rope's zero that is followed from one gait cycle to the next, and in all, m.
+    """
     decay = math.exp(-impedance.stiffness_n_m / impedance.damping_n_s_m * gait.period_s)
     lag = 1.0 / (2.0 * math.pi * calibration.servo_bandwidth) / gait.period_s
     ahead = max(TARGET_CYCLES, round(calibration.servo_delay / gait.period_s))
@@ -150,6 +157,7 @@ def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedan
         least_n=LEAST_SHARE * max(gait.desired),
         beyond=None if calibration.discrepancy is None else calibration.discrepancy.packed(
             gait.period_s, calibration.presliding, calibration.fabric_presliding),
+        migration=migration,
     )
 
 
@@ -175,6 +183,7 @@ def step(
     rate = paths[min(1, len(paths) - 1)].start - here.start
     unlagged = start + config.start_lag * rate
     estimated = (unlagged - here.drag) / ratio
+    zero = config.zero_m + state.shifted_m
     resting = max(state.resting - 1, 0) if here.slides_fully else config.filter.lead
     deviation, evidence = state.deviation_m, None
     if slack > 0.0:
@@ -185,11 +194,11 @@ def step(
         deviation = (1.0 - heard + heard * config.decay) * deviation + heard * config.gain_m_n * apart
         if not resting and desired > config.least_n:
             evidence = friction_evidence(
-                state.law, state.followed, seen.servo_position_m - config.zero_m,
+                state.law, state.followed, seen.servo_position_m - zero,
                 seen.knee_angle_rad + here.leg, unlagged,
                 here.drag, here[3:7], _side(state, here, gait, now), config.least_n)
     speed = paths[-1].position - paths[max(-3, -len(paths))].position
-    position = config.zero_m + paths[max(-2, -len(paths))].position
+    position = zero + paths[max(-2, -len(paths))].position
     feedforward = position + 0.5 * config.lag * speed
     force = deviation + (at(state.learnt, now) if state.learnt else 0.0)
     wanted = (*state.wanted, position + force)[-(config.ahead + 1):]
@@ -203,9 +212,10 @@ def step(
     history = (now, fed, missed if reached == target else 0.0, evidence, state.history) if seen.share == 1.0 else None
     after = ExtendedState(
         state.law, state.followed, deviation, leg, seen.servo_position_m, slip, slips, departures, paths,
-        wanted, resting, state.learnt, state.tracked, history, now, seen.rate)
+        wanted, resting, state.learnt, state.tracked, history, now, seen.rate, state.shifted_m)
     half = _half_width(max(estimated, 0.0), ratio, rate, resting / config.filter.lead, here, config)
-    trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half)
+    trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half,
+                  state.shifted_m)
     return ControllerOutput(reached, at(gait.knee, now + TARGET_CYCLES * seen.rate)), after, trace
 
 
@@ -300,11 +310,28 @@ def _half_width(force: float, ratio: float, rate: float, resting: float, here: A
     return NORMAL_95 * math.hypot(config.noise_n / ratio, relative * force, 0.5 * config.start_lag * rate / ratio)
 
 
+def _migrated(learnt: tuple[float, ...], shifted_m: float, config: ExtendedConfig) -> float:
+    """Return how much of the learnt correction is a shift of the rope's zero, m: its mean while a force is desired.
+
+    Only a zero moves the rope by as much under every load; it is followed at idle, too, where nothing measures it.
+    """
+    by_stride, in_all = config.migration
+    if not in_all:
+        return 0.0
+    loaded = [one for one, desired in zip(learnt, config.gait.desired, strict=True) if desired > 0.0]
+    step = min(max(sum(loaded) / max(len(loaded), 1), -by_stride), by_stride)
+    return min(max(shifted_m + step, -in_all), in_all) - shifted_m
+
+
 def on_cycle_end(state: ExtendedState, config: ExtendedConfig) -> ExtendedState:
     """A gait cycle is over: its feedback and the drive's errors are learnt, its evidence moves the friction."""
     followed = follow(state.followed, evidence_of(state.history))
     feedback, missed = learning.columns(state.history, config.gait.samples)
+    learnt = learning.learn(state.learnt, feedback, config.filter)
+    moved = _migrated(learnt, state.shifted_m, config)
+    if moved:
+        most = max(config.gait.slack)
+        learnt = tuple(one - moved * (1.0 - slack / most) for one, slack in zip(learnt, config.gait.slack, strict=True))
     return state._replace(
-        law=law_at(config.law, followed), followed=followed,
-        learnt=learning.learn(state.learnt, feedback, config.filter),
+        law=law_at(config.law, followed), followed=followed, learnt=learnt, shifted_m=state.shifted_m + moved,
         tracked=learning.learn(state.tracked, missed, config.tracking), history=None)

@@ -67,7 +67,7 @@ class ExtendedController(Controller[extended.ExtendedState]):
     uses_homing_fit = True
 
     def __init__(self, model: Calibration, gait: GaitTable, conditions: Conditions) -> None:
-        self._config = extended.configure(model, conditions.homing, gait, conditions.impedance)
+        self._config = extended.configure(model, conditions.homing, gait, conditions.impedance, conditions.migration)
         self.ahead = self._config.ahead
 
     def initial(self) -> extended.ExtendedState:

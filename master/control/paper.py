@@ -74,7 +74,7 @@ def step(seen: ControllerInput, state: PaperState, config: PaperConfig) -> tuple
     kc is the stiffness on the START side of the friction.  While the rope is slack there is no error to act on.
     """
     gait = config.gait
-    i = seen.index(gait.samples)
+    i = seen.table_index(gait.samples)
     desired, slack = gait.wanted(i if seen.place is None else seen.place, seen.share)
     rope, strain, knee = gait.rope_direction[i], gait.fabric_direction[i], seen.knee_angle_rad
     fabric = config.fabric_offset + config.fabric_slope * abs(knee)

@@ -112,6 +112,8 @@ class Guard:
     def check_gait(self, inputs: Inputs, annotations: CycleAnnotations) -> None:
         """Raise `StopError` if a control cycle of the gait departs from the desired one or from earlier cycles."""
         if self.active and self.enabled and self.repetition is not None:
+            if self.plausibility is not None:
+                self.plausibility.follow_zero(annotations.zero_m)
             found = self.repetition.check(inputs, annotations)
             if found is not None:
                 raise repetition.stop(found)

@@ -61,7 +61,9 @@ class Inputs(NamedTuple):
 class CycleAnnotations(NamedTuple):
     """Columns of `trial.signals.CycleRow` that a controller gives, else NaN; `cycle` −1 outside the gait.
 
-    `own` are the values of the controller's own columns, in their order.
+    `own` are the values of the controller's own columns, in their order. `follows_phase` False: the force follows no
+    phase, so that this control cycle is like that of no other gait cycle. `zero_m`: shift of the rope's zero since
+    homing that the controller follows, m.
     """
 
     gait_percent: float = NAN
@@ -76,6 +78,8 @@ class CycleAnnotations(NamedTuple):
     strain_direction: float = NAN
     estimated_end_half_n: float = NAN
     own: tuple[float, ...] = ()
+    follows_phase: bool = True
+    zero_m: float = 0.0
 
 
 NOTHING = CycleAnnotations()

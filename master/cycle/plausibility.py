@@ -358,6 +358,7 @@ class Plausibility:
 
     def __init__(self, period_s: float, *, with_end: bool = True, with_knee: bool = True) -> None:
         self.s, self.g = np.zeros(STATES), np.zeros(SETTINGS)
+        self._zero_m = 0.0
         g = self.g
         g[PERIOD_S], g[BANDWIDTH] = period_s, 2.0 * math.pi * 20.0
         g[CYCLES] = min(WINDOW - 2, max(2, round(WINDOW_S / period_s)))
@@ -444,6 +445,11 @@ class Plausibility:
         g[ROPE_PER_KNEE], g[KNEE_HOME], g[ROPE_COMPLIANCE], g[LEARNED] = rope_per_knee, knee_home, compliance, LEARNING
         s[NORMAL_FORCE:STATES] = 0.0
         s[[FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES, TRUSTED, RISE_LOW, RISE_HIGH, MOST_FLOW]] = 0.0
+
+    def follow_zero(self, zero_m: float) -> None:
+        """Expect the stretch by a rope's zero that has moved by `zero_m` since homing."""
+        self.g[C0] += zero_m - self._zero_m
+        self._zero_m = zero_m
 
     def shift(self, by_m: float) -> None:
         """The drive reads `by_m` more from now on: homing has set its zero."""

@@ -9,8 +9,9 @@ model that are alike in every cycle cancel out:
     second   the same mean against the second gait cycle, from the third on, N;
     wound    rope position against both cycles, m; errors common to START, END and torque show there alone.
 
-A gait cycle is compared with an earlier one only if desired force and knee angle agree at that phase. On a bench
-without END (NaN) the rope alone is compared.
+A gait cycle is compared with an earlier one only if desired force and knee angle agree at that phase; without a phase
+END is compared with the desired force alone. Rope positions are those beyond the zero that the controller follows. On
+a bench without END (NaN) the rope alone is compared.
 """
 
 from __future__ import annotations
@@ -109,15 +110,15 @@ def _compile() -> Any:
         s[SUM] += end - desired
         s[SUM_START] += start
         s[PLACE] = float((at + 1) % width)
-        here = int(percent * (BINS / 100.0)) % BINS
-        if here == int(s[LAST_BIN]) or s[FILLED] < width:
+        here = -1 if math.isnan(percent) else int(percent * (BINS / 100.0)) % BINS
+        if (here >= 0 and here == int(s[LAST_BIN])) or s[FILLED] < width:
             return -1
         s[LAST_BIN] = here
         error, tension = s[SUM] / width, s[SUM_START] / width
         if _compare(s, g, DESIRED, desired + error, desired):
             s[END_MOVED], s[START_MOVED], s[ROPE_MOVED] = error, 0.0, 0.0
             return DESIRED
-        if cycle < 0.0:
+        if cycle < 0.0 or here < 0:
             return -1
         found = -1
         for older in range(2):
@@ -135,7 +136,7 @@ def _compile() -> Any:
 
 step: Final[Any] = _compile()
 """step(s, memory, g, width, percent, desired, cycle, rope, knee, START, END) → the comparison that failed, −1 for none;
-`width`: control cycles in the mean."""
+`width`: control cycles in the mean; a `percent` of NaN is no phase."""
 
 
 class CycleDeparture(NamedTuple):
@@ -173,8 +174,10 @@ class Repetition:
         if inputs.missing:
             return None
         found = step(
-            self.s, self.memory, self.g, self._width, annotations.gait_percent, annotations.desired_force_n,
-            annotations.cycle, inputs.servo_position_m, inputs.knee_angle_rad, inputs.start_n, inputs.end_n)
+            self.s, self.memory, self.g, self._width,
+            annotations.gait_percent if annotations.follows_phase else math.nan, annotations.desired_force_n,
+            annotations.cycle, inputs.servo_position_m - annotations.zero_m, inputs.knee_angle_rad,
+            inputs.start_n, inputs.end_n)
         if found < 0:
             return None
         s = self.s

@@ -244,8 +244,8 @@ class Planned:
     def control(self, table: GaitTable) -> Controller[Any]:
         """The chosen controller over a gait table, on the day that homing found."""
         day = self.homed.day if self.homed else HomingFit()
-        made = controller.with_effects(
-            self.kind, self.calibration, table, Conditions(self.impedance, day, self.own), self.undone[id(table)])
+        conditions = Conditions(self.impedance, day, self.own, self.experiment.walk.migration)
+        made = controller.with_effects(self.kind, self.calibration, table, conditions, self.undone[id(table)])
         targets = self.experiment.targets
         return made if targets is None else Repeated(made, targets, self.begin)
 
@@ -295,42 +295,44 @@ class Planned:
         def number(sample: int) -> float:
             if strides is not None:
                 return strides.at(sample)[2]
-            return float(before + sample // samples) if sample >= 0 else -1.0
+            return float(before + sample // samples) if 0 <= sample < last else -1.0
 
         for i, table in enumerate(self.rising, 1 - len(self.rising)):
             yield from self._walked(exchange, table, begin, i * samples, number)
             begin = i * samples
-        yield from self._walked(exchange, self.table, begin, last, number, self.phase)
+        if self.phase is not None:  # the run-out keeps the zero that was followed
+            yield from self._walked(exchange, self.table, begin, last + self.rest, number, last)
+            return
+        yield from self._walked(exchange, self.table, begin, last, number)
         end = -(-last // samples) * samples  # the run-out begins with a gait cycle
         yield from self._walked(exchange, self.idle, end, end + self.rest, lambda sample: -1.0, late=end - last)
 
     def _walked(
         self, exchange: gait.Cycle, table: GaitTable, first: int, last: int, number: Callable[[int], float],
-        felt: gait_phase.PhaseConfig | None = None, *, late: int = 0,
+        until: float = math.inf, *, late: int = 0,
     ) -> Work[None]:
+        """Yield the steps of a controller over a gait table; `late`: how many samples the knee is behind them."""
         name = self.experiment.gait.controller
         with gait.naming(name):
             control = self.control(table)
-        strides, ahead = self.strides, TARGET_CYCLES
-        led, true_percent = self._led(), None
+        yield from gait.steps(
+            exchange, control, table, first, last, number, self._led(late), name=name, own=len(self.kind.columns),
+            felt=self.phase, true_percent=self._true_percent(late), until=until)
+
+    def _true_percent(self, late: int) -> Callable[[int], float] | None:
+        """Return the true phase, %, by sample, of strides that differ or are felt; None of one that repeats."""
+        strides, samples = self.strides, self.table.samples
         if strides is not None:
-            def led(sample: int) -> float:
-                return strides.at(sample - late + ahead)[0]
+            return lambda sample: strides.at(sample - late)[1]
+        return None if self.phase is None else lambda sample: 100.0 * (sample % samples) / samples
 
-            def true_percent(sample: int) -> float:
-                return strides.at(sample - late)[1]
-        elif felt is not None:
-            def led(sample: int) -> float:
-                return table.knee[(sample + ahead) % table.samples]
-
-            def true_percent(sample: int) -> float:
-                return 100.0 * (sample % table.samples) / table.samples
-        yield from gait.steps(exchange, control, table, first, last, number, led, name=name,
-                              own=len(self.kind.columns), felt=felt, true_percent=true_percent)
-
-    def _led(self) -> Callable[[int], float] | None:
+    def _led(self, late: int) -> Callable[[int], float] | None:
         """The knee's target by sample if its motion departs from the reference, eased in by run-in, out by run-out."""
-        motion, table = self.experiment.motion, self.table
+        motion, table, strides = self.experiment.motion, self.table, self.strides
+        if strides is not None:
+            return lambda sample: strides.at(sample - late + TARGET_CYCLES)[0]
+        if self.phase is not None:
+            return lambda sample: table.knee[(sample + TARGET_CYCLES) % table.samples]
         if motion is None:
             return None
         per_sample, end = table.period_s / motion.period_s, self.experiment.gait.cycles * table.samples + self.rest

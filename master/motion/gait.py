@@ -101,26 +101,27 @@ def run(exchange: Cycle, work: Work[None]) -> None:
 def steps(
     exchange: Cycle, control: Controller[Any], table: GaitTable, first: int, last: int,
     number: Callable[[int], float], knee_at: Callable[[int], float] | None = None, *, name: str = "", own: int = 0,
-    felt: PhaseConfig | None = None, true_percent: Callable[[int], float] | None = None,
+    felt: PhaseConfig | None = None, true_percent: Callable[[int], float] | None = None, until: float = math.inf,
 ) -> Work[None]:
     """Answer samples `first` … `last` − 1 (0: start of gait cycle 0); `number` gives a row's gait-cycle number.
 
     `knee_at` gives the knee's target by sample if it does not follow the reference that the controller expects. `own`
     is the number of further columns of the controller `name`. A controller that raises, or whose targets are not
     finite, raises `StopError`. With `felt` the controller follows the phase of the knee angle, without a clock;
-    `true_percent` gives the true phase, %, for the record of a trial whose strides differ.
+    `true_percent` gives the true phase, %, for the record of a trial whose strides differ. From the sample `until` on
+    no force is asked for.
     """
     samples, desired = table.samples, table.desired
     with naming(name):
         step, state = control.step, control.initial()
     inputs = exchange.inputs
-    memory, share, more, place = gait_phase.initial(), -1.0, (), 0.0
+    memory, share, more, place = gait_phase.initial(), 1.0 if felt is None else -1.0, (), 0.0
     for sample in range(first, last):
         i = sample % samples
         if felt is not None:
             lost = inputs.missing & NEEDED
             reading, memory = gait_phase.step(felt, memory, NAN if lost else inputs.knee_angle_rad)
-            share = gait_phase.follow(share, reading, table)
+            share = gait_phase.follow(share, reading._replace(known=reading.known and sample < until), table)
             place = reading.phase * samples
             i = int(place) % samples
             more = (NAN if true_percent is None else true_percent(sample), 100.0 * reading.doubt, share)
@@ -152,7 +153,8 @@ def steps(
             estimated_end_force_n=trace.estimated_end_force_n, estimated_end_half_n=trace.estimated_end_half_n,
             feedforward_m=trace.feedforward_m, impedance_dx_m=trace.impedance_dx_m,
             friction_ratio=trace.friction_ratio, rope_direction=trace.rope_direction,
-            strain_direction=trace.strain_direction, own=(*trace.own, *more)))
+            strain_direction=trace.strain_direction, own=(*trace.own, *more, trace.zero_m) if more else trace.own,
+            follows_phase=share == 1.0, zero_m=trace.zero_m))
         inputs = exchange.inputs
 
 

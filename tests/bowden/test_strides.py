@@ -65,3 +65,30 @@ def test_what_cannot_be_walked_is_refused(
     assert run(["trial", "-o", str(tmp_path / "none.mcap"), *options]) == 2
     assert sentence in capsys.readouterr().err
     assert not (tmp_path / "none.mcap").exists()
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("migration_m", [6e-3, -6e-3])
+def test_a_garment_that_migrates_stops_no_trial(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], migration_m: float
+) -> None:
+    """0.1 mm a stride in the first strides; more than the range at once ends the trial with the sentence of a slip."""
+    from trial import read
+
+    model = tmp_path / "migrating.toml"
+    model.write_text(f"""[[terms]]
+carrier = "zero"
+modulation = "time_sine"
+parameters = {{ hz = 0.0025 }}
+coefficients = [{migration_m}, 0.0]
+intervals = [[{migration_m}, {migration_m}], [0.0, 0.0]]
+unit = "m"
+part = "rope"
+words = "zero of the rope"
+""", encoding="utf-8")
+    found = trial(tmp_path, capsys, "walk.mcap", "--strides", "16", "--plant-model", str(model))
+    assert found["outcome"] == "completed"
+    followed = read.open(tmp_path / "walk.mcap").columns["followed_zero_m"]
+    assert np.nanmax(np.abs(followed)) > 0.8e-3
+    assert found["walk"]["rmse_percent"]["worst"] < 2.0
+    assert found["walk"]["idle_n"] < 2.0

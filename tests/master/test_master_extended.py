@@ -334,3 +334,15 @@ def test_an_error_within_the_doubt_of_the_discrepancy_is_hardly_fed_back() -> No
     """Without a discrepancy all of it is; at one standard deviation half of it, at ten 99 %."""
     assert extended.trusted(0.3, 0.0) == 0.3
     assert [extended.trusted(error, 0.1) for error in (0.1, -0.1, 1.0)] == pytest.approx([0.05, -0.05, 0.99], rel=1e-3)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_migrated_zero_is_followed_within_its_ranges_and_a_load_dependent_error_is_not(sign: float) -> None:
+    """A correction that is alike under every load moves the zero, by stride and in all at most as much as is stated."""
+    config = dataclasses.replace(configured(), migration=(2e-4, 5e-4))
+    loaded = [1.0 if desired > 0.0 else 0.0 for desired in config.gait.desired]
+    shifted = 0.0
+    for expected in (2e-4, 4e-4, 5e-4, 5e-4):
+        shifted += extended._migrated(tuple(sign * 1e-3 * share for share in loaded), shifted, config)
+        assert shifted == pytest.approx(sign * expected)
+    assert extended._migrated(tuple(loaded), 0.0, configured()) == 0.0

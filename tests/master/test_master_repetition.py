@@ -117,3 +117,29 @@ def test_a_brisk_gait_may_differ_more_from_cycle_to_cycle() -> None:
     assert (usual == slow).all()
     assert brisk[repetition.DESIRED] == usual[repetition.DESIRED]
     assert brisk[repetition.FIRST:] == pytest.approx(1.1 / 0.8 * usual[repetition.FIRST:])
+
+
+@pytest.mark.parametrize(("zero_m", "found"), [(3e-3, False), (0.0, True)])
+def test_a_rope_is_compared_beyond_the_zero_that_is_followed(zero_m: float, found: bool) -> None:
+    watch = Repetition(PEAK_N, 1e-3, 1.1)
+    stopped = False
+    for i in range(4 * SAMPLES):
+        cycle, phase = divmod(i, SAMPLES)
+        moved = 3e-3 if cycle > 1 else 0.0
+        inputs = Inputs(i, 0, moved, 0.0, 0, -0.5, 0.0, 0.0, 0)
+        told = CycleAnnotations(100.0 * phase / SAMPLES, 0.0, cycle=float(cycle), zero_m=zero_m if cycle > 1 else 0.0)
+        stopped = stopped or watch.check(inputs, told) is not None
+    assert stopped is found
+
+
+@pytest.mark.parametrize("end_n", [0.0, 30.0])
+def test_without_a_phase_the_desired_force_alone_is_compared(end_n: float) -> None:
+    watch, found = Repetition(PEAK_N, 1e-3, 1.1), None
+    for i in range(3 * SAMPLES):
+        cycle, phase = divmod(i, SAMPLES)
+        lost = cycle == 2
+        inputs = Inputs(i, 0, 5e-3 if lost else 0.0, 0.0, 0, -0.5, 0.0, end_n if lost else 0.0, 0)
+        found = found or watch.check(inputs, CycleAnnotations(
+            100.0 * phase / SAMPLES, 0.0, cycle=float(cycle), follows_phase=not lost))
+    assert (found is None) is (end_n == 0.0)
+    assert found is None or found.comparison == repetition.DESIRED

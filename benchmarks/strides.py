@@ -1,0 +1,256 @@
+"""Walks of strides that differ, on own benches and benches of the family, stride by stride: docs/strides.md.
+
+    python -m benchmarks.strides [DIRECTORY] [--walk KIND:SERIAL:SEED:MIGRATION …] [--strides 60]
+
+Each bench is identified on day 0 and walked on day 1: the recorded strides of DIRECTORY (../shared/data/gait unless
+told) in random order, with stumbles, stops and a seat, while the rope's zero moves by MIGRATION mm.  A walk that
+stands in docs/strides.csv is not run again unless `--walk` names it; without `--walk` the page is written from the
+table, and its pictures from the recordings that are kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import frame
+from benchmarks.frame import OUT, ROOT, markdown
+
+TABLE, PAGE = ROOT / "docs" / "strides.csv", ROOT / "docs" / "strides.md"
+PEAK_N, PERIOD_S = 40.0, 1.2
+INTERRUPTED = {"stumbles": 2, "stops": 2, "sits": 1}
+MOVES_HZ = 0.0025
+"""Frequency of the sine of which the zero's motion is the first quarter, Hz: a walk of 60 strides takes 85 s."""
+SHARE = 0.82
+"""Part of the sine's amplitude by which the zero moves between the first stride and the last."""
+RMSE, TRUE_RMSE = "rmse_percent", "true_phase_rmse_percent"
+BARS = {"median": 0.6, "percentile_95": 1.2, "worst": 5.0}
+PHASE_BAR, OFF_BAR_MS = 1.5, 100.0
+
+
+def number(value: float | None) -> str:
+    """Return a figure; "–" where there is none."""
+    return frame.number(math.nan if value is None else value)
+
+
+def strides_of(directory: Path, path: Path) -> Path:
+    """Write the recorded strides of a directory, one a file, into one numbered file."""
+    from trial.curves import read_curve
+
+    rows = ["stride,gait_percent,knee_angle_rad"]
+    for i, file in enumerate(sorted(directory.glob("cycle_*.csv"))):
+        curve = read_curve(file, "knee_angle_rad")
+        rows += [f"{i},{at:g},{angle!r}" for at, angle in zip(
+            curve.percent.tolist(), curve.values.tolist(), strict=True)]
+    if len(rows) == 1:
+        raise SystemExit(f"{directory}: no cycle_*.csv there; give the directory of the recorded strides.")
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+def calibration(kind: str, serial: int) -> Path:
+    """Return the calibration of a bench, identified on day 0 where it is missing."""
+    from benchmarks.family_walks import bench_row
+    from bowden.sweep import row_trial
+
+    kept = OUT / f"strides-{kind}-{serial}.toml"
+    if not kept.exists():
+        reason, text = row_trial.identify(row_trial.bench_of(bench_row(kind, serial, 0)))
+        if reason is not None:
+            raise SystemExit(f"{kind} {serial}: not identified: {reason}")
+        kept.write_text(text, encoding="utf-8")
+    return kept
+
+
+def moving_zero(mm: float) -> dict[str, Any]:
+    """Return the plant model of a bench whose rope's zero moves by `mm` in a walk."""
+    size = 1e-3 * mm / SHARE
+    return {} if not mm else {"terms": [{
+        "carrier": "zero", "modulation": "time_sine", "parameters": {"hz": MOVES_HZ}, "coefficients": [size, 0.0],
+        "intervals": [[size, size], [0.0, 0.0]], "unit": "m", "part": "rope", "words": "zero of the rope"}]}
+
+
+def walked(kind: str, serial: int, seed: int, mm: float, strides: int, knee: Path) -> dict[str, Any]:
+    """Walk on one bench; return its row."""
+    import bowden
+    from benchmarks.family_walks import bench_row
+    from bowden.bench import buses
+    from bowden.sweep.rows import plant_model
+
+    row = bench_row(kind, serial, 1)
+    model = {**plant_model(row), **moving_zero(mm)}
+    bus = buses.simulated(int(row["bench.serial"]), int(row["bench.day"]), seed, plant=str(row["bench.plant"]),
+                          plant_model=model or None)
+    output = OUT / f"strides-{kind}-{serial}-{seed}-{mm:g}.mcap"
+    asked = bowden.Experiment(knee=knee, peak_n=PEAK_N, period_s=PERIOD_S, strides=strides, controller="extended",
+                              model=calibration(kind, serial), **INTERRUPTED)
+    found = bowden.run(asked, bus=bus, output=output, overwrite=True).figures
+    return {"kind": kind, "serial": serial, "seed": seed, "migration_mm": mm, "outcome": found["outcome"],
+            "stop_reason": found["stop_reason"], "walk": found["walk"]}
+
+
+def table() -> list[dict[str, Any]]:
+    """Return the walks that are kept, each bench, seed and migration once."""
+    if not TABLE.exists():
+        return []
+    with TABLE.open(newline="", encoding="utf-8") as file:
+        rows = [json.loads(text) for _, text in csv.reader(file)]
+    return list({name(row): row for row in rows}.values())
+
+
+def name(row: Mapping[str, Any]) -> str:
+    """Return the name of a walk, as `--walk` takes it."""
+    return f"{row['kind']}:{row['serial']}:{row['seed']}:{row['migration_mm']:g}"
+
+
+def enter(row: Mapping[str, Any]) -> None:
+    """Enter a walk in the table, in place of an earlier one of its name."""
+    rows = {name(each): each for each in table()} | {name(row): dict(row)}
+    with TABLE.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows((key, json.dumps(each)) for key, each in rows.items())
+
+
+def counted(rows: Sequence[Mapping[str, Any]], key: str) -> list[float]:
+    """Return a figure of every stride that was walked, not interrupted, from the second on; by the true phase of those
+    in which the whole force was asked for."""
+    return [one[key] for row in rows if row["walk"] for one in row["walk"]["by_stride"]
+            if one["kind"] == "walk" and one["stride"] >= 1 and one[key] is not None
+            and (one["assisted"] or key != TRUE_RMSE)]
+
+
+def described(row: Mapping[str, Any]) -> list[str]:
+    """Return a row of the page."""
+    walk = row["walk"]
+    if walk is None:
+        return [name(row), f"{row['stop_reason']}", *[""] * 10]
+    return [f"{row['kind']} {row['serial']}", str(row["seed"]), f"{row['migration_mm']:g}",
+            f"{walk['strides']}, {walk['assisted']}, {walk['interrupted']}",
+            *(number(walk[RMSE][part]) for part in BARS), *(number(walk[TRUE_RMSE][part]) for part in BARS),
+            number(walk["phase_error_rms_percent"]), number(walk["idle_n"]), number(walk["off_phase_ms"]),
+            row["outcome"] if row["stop_reason"] is None else f"stopped: {row['stop_reason']}"]
+
+
+def page(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return docs/strides.md."""
+    asked, true, phase = (counted(rows, key) for key in (RMSE, TRUE_RMSE, "phase_error_rms_percent"))
+    off = max(row["walk"]["off_phase_ms"] for row in rows if row["walk"])
+    stopped = sum(row["outcome"] != "completed" for row in rows)
+    parts = [
+        "# Strides that differ", INTRODUCTION,
+        markdown(["figure", "measured", "bar"], [
+            ["walks, strides that count", f"{len(rows)}, {len(asked)}", ""],
+            *([f"RMSE against the force asked for, {text} (%)", number(value), f"{bar:g}"] for text, value, bar in (
+                ("median", float(np.median(asked)), 0.6), ("95 %", float(np.percentile(asked, 95)), 1.2),
+                ("worst", max(asked), 5.0))),
+            *([f"RMSE against the desired force at the true phase, {text} (%)", number(value), bar]
+              for text, value, bar in (("median", float(np.median(true)), "0.6"),
+                                       ("95 %", float(np.percentile(true, 95)), "1.2"), ("worst", max(true), "5"))),
+            ["phase, rms over strides (% of the gait)", number(math.sqrt(float(np.mean(np.square(phase))))), "1.5"],
+            ["longest time with more than 3 N off phase (ms)", number(off), "100"],
+            ["walks stopped", str(stopped), "0"]]),
+        TRUE_PHASE,
+        "## Walks",
+        markdown(["bench", "seed", "migration (mm)", "strides, with force, interrupted", "asked: median", "95 %",
+                  "worst", "true phase: median", "95 %", "worst", "phase (%)", "idle (N)", "off phase (ms)", "outcome"],
+                 [described(row) for row in rows]),
+        "## Best, median and worst stride",
+        "Of all strides that count, by RMSE against the force asked for. Grey: desired force at the true phase.",
+        "![Best, median and worst stride](strides.svg)",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+INTRODUCTION = f"""\
+`python -m benchmarks.strides` writes this page: eleven recorded strides of one walker in random order, each with a
+drawn period (± 8 %) and amplitude (± 10 %), among them two stumbles, two stops and one seat, while the garment
+migrates. The force follows the phase that is felt from the knee angle alone ([walking](walking.md)). Benches are
+identified on day 0 and walked on day 1 by `bowden trial --knee FILE --strides 60 --stumbles 2 --stops 2 --sits 1
+--controller extended --peak {PEAK_N:g} --period {PERIOD_S:g}`."""
+TRUE_PHASE = """\
+The second group of rows holds the error of the phase. The force rises by 6.3 N in a hundredth of the gait (40 N within
+10 %), so an error of the phase of 1 % while the force is up is about 5 % of the peak, as RMSE over the stride. With a
+phase as uncertain as its own bar, the bar of 0.6 % cannot be met at the true phase. The period of a stride is drawn at
+its beginning and the force begins 10 % later; nobody can know the period by then. The bars belong to the first
+group."""
+
+
+def strides_by_rank(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, Mapping[str, Any], int]]:
+    """Return best, median and worst stride of the walks whose recordings are kept: label, row, number."""
+    ranked = sorted((one[RMSE], name(row), one["stride"], i) for i, row in enumerate(rows)
+                    if row["walk"] and recording(row).exists() for one in row["walk"]["by_stride"]
+                    if one["kind"] == "walk" and one["stride"] >= 1 and one["assisted"])
+    if not ranked:
+        return []
+    chosen = (("best", ranked[0]), ("median", ranked[len(ranked) // 2]), ("worst", ranked[-1]))
+    return [(f"{label}: {rmse:.2f} %, {walk}, stride {stride}", rows[i], stride)
+            for label, (rmse, walk, stride, i) in chosen]
+
+
+def recording(row: Mapping[str, Any]) -> Path:
+    """Return the path of a walk's recording."""
+    return OUT / f"strides-{row['kind']}-{row['serial']}-{row['seed']}-{row['migration_mm']:g}.mcap"
+
+
+def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Draw best, median and worst stride: force asked for, true END, and desired force at the true phase."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    from bowden.pages.figures import true_end
+    from physics.reference import paper_reference
+    from trial import read
+
+    chosen = strides_by_rank(rows)
+    if not chosen:
+        return
+    figure = Figure(figsize=(12.0, 3.6), layout="constrained")
+    FigureCanvasSVG(figure)
+    reference = paper_reference(PEAK_N, PERIOD_S)
+    for axes, (label, row, stride) in zip(figure.subplots(1, 3, sharey=True), chosen, strict=True):
+        kept = read.open(recording(row))
+        at = kept.columns["cycle"] == stride
+        time_s = kept.columns["time_s"][at] - kept.columns["time_s"][at][0]
+        desired = [reference.desired_force(percent / 100.0) for percent in kept.columns["stride_percent"][at].tolist()]
+        axes.plot(time_s, desired, color="0.7", label="desired, true phase")
+        axes.plot(time_s, kept.columns["desired_force_n"][at], color="tab:orange", label="asked for")
+        axes.plot(time_s, true_end(recording(row).with_suffix(".truth.mcap"), kept)[at], color="tab:blue", lw=1.0,
+                  label="END")
+        axes.set(xlabel="time (s)", title=label)
+        axes.title.set_fontsize("small")
+        axes.grid(alpha=0.3)
+    figure.axes[0].set_ylabel("force (N)")
+    figure.axes[0].legend(fontsize="small")
+    figure.savefig(path, metadata={"Date": None})
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Walk what is asked for, write the table and the page."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.strides")
+    parser.add_argument("directory", nargs="?", type=Path, default=ROOT.parent / "shared" / "data" / "gait")
+    parser.add_argument("--walk", nargs="*", default=[], metavar="KIND:SERIAL:SEED:MIGRATION")
+    parser.add_argument("--strides", type=int, default=60)
+    options = parser.parse_args(arguments)
+    OUT.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        for asked in options.walk:
+            kind, serial, seed, mm = asked.split(":")
+            knee = strides_of(options.directory, Path(folder, "strides.csv"))
+            row = walked(kind, int(serial), int(seed), float(mm), options.strides, knee)
+            enter(row)
+            print(*described(row), sep=" | ", flush=True)
+    rows = table()
+    PAGE.write_text(page(rows), encoding="utf-8")
+    draw(rows, PAGE.with_suffix(".svg"))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
