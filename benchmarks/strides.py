@@ -28,10 +28,10 @@ from benchmarks.frame import OUT, ROOT, markdown
 TABLE, PAGE = ROOT / "docs" / "strides.csv", ROOT / "docs" / "strides.md"
 PEAK_N, PERIOD_S = 40.0, 1.2
 INTERRUPTED = {"stumbles": 2, "stops": 2, "sits": 1}
-MOVES_HZ = 0.0025
-"""Frequency of the sine of which the zero's motion is the first quarter, Hz: a walk of 60 strides takes 85 s."""
-SHARE = 0.82
-"""Part of the sine's amplitude by which the zero moves between the first stride and the last."""
+MOVES_HZ = 0.001
+"""Frequency of the sine by whose beginning the zero moves, Hz: nearly a straight line in a walk of 85 s."""
+SHARE = 0.45
+"""Part of the sine's amplitude by which the zero moves between the first stride, at 10 s, and the last."""
 RMSE, TRUE_RMSE = "rmse_percent", "true_phase_rmse_percent"
 BARS = {"median": 0.6, "percentile_95": 1.2, "worst": 5.0}
 PHASE_BAR, OFF_BAR_MS = 1.5, 100.0

@@ -61,8 +61,8 @@ class Walk:
         6e-3, "m", "shift of the rope's zero in a trial that is followed where strides differ: a garment migrates",
         low=0.0, high=0.02, source="assumed; beyond it the trial ends")
     migration_stride_m: float = parameter(
-        0.2e-3, "m", "most of it that is followed from one stride to the next", low=0.0, high=2e-3,
-        source="assumed: 6 mm in 30 strides")
+        0.5e-3, "m", "most of it that is followed from one stride to the next", low=0.0, high=2e-3,
+        source="assumed: less than what the supervision calls a slip at once")
 
     @property
     def migration(self) -> tuple[float, float]:

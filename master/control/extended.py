@@ -12,6 +12,8 @@ import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from estimation.transfer.homing_fit import HomingFit
 from master.control import learning
 from master.control.controller_io import ControllerInput, ControllerOutput, Trace
@@ -44,6 +46,8 @@ REACH_M = 4.5e-3
 """Greatest distance, m, of a target from the expected rope position: beyond the servo's window (0x6065, 5 mm) the
 drive stops.
 """
+FADED_S = 0.06
+"""Time in which learnt corrections fade out where a phase is lost, and in where it is found, s."""
 TARGET_CYCLES = 2
 """A target is taken over at the next SYNC and reached one cycle later."""
 
@@ -84,7 +88,7 @@ class ExtendedState(NamedTuple):
     `learnt` and `tracked`: corrections by sample of the gait cycle, m, for the force and for the drive. `history`:
     linked list (sample, feedback, tracking error, observation, older) of the gait cycle so far. `place` and `rate`: of
     the last control cycle, in samples of the gait; a felt phase makes them fractions. `shifted_m`: shift of the rope's
-    zero since homing, as it is followed.
+    zero since homing, as it is followed. `learnt_share`: how much of both corrections acts; without a phase none.
     """
 
     law: Law
@@ -104,6 +108,7 @@ class ExtendedState(NamedTuple):
     place: float = 0.0
     rate: float = 1.0
     shifted_m: float = 0.0
+    learnt_share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -200,11 +205,13 @@ def step(
     speed = paths[-1].position - paths[max(-3, -len(paths))].position
     position = zero + paths[max(-2, -len(paths))].position
     feedforward = position + 0.5 * config.lag * speed
-    force = deviation + (at(state.learnt, now) if state.learnt else 0.0)
+    fade = gait.period_s / FADED_S
+    share = min(1.0, state.learnt_share + fade) if seen.rate > 0.0 else max(0.0, state.learnt_share - fade)
+    force = deviation + (share * at(state.learnt, now) if state.learnt else 0.0)
     wanted = (*state.wanted, position + force)[-(config.ahead + 1):]
     missed = wanted[0] - seen.servo_position_m if len(wanted) > config.ahead else 0.0
     fed = deviation if slack == 0.0 else 0.0
-    target = feedforward + force + (at(state.tracked, now) if state.tracked else 0.0)
+    target = feedforward + force + (share * at(state.tracked, now) if state.tracked else 0.0)
     moved = 0.0 if math.isnan(state.seen_m) else seen.servo_position_m - state.seen_m
     then = seen.servo_position_m + TARGET_CYCLES * moved
     reached = min(max(target, then - REACH_M), then + REACH_M)
@@ -212,7 +219,8 @@ def step(
     history = (now, fed, missed if reached == target else 0.0, evidence, state.history) if seen.share == 1.0 else None
     after = ExtendedState(
         state.law, state.followed, deviation, leg, seen.servo_position_m, slip, slips, departures, paths,
-        wanted, resting, state.learnt, state.tracked, history, now, seen.rate, state.shifted_m)
+        wanted, resting, state.learnt, state.tracked, history, now, seen.rate, state.shifted_m,
+        share)
     half = _half_width(max(estimated, 0.0), ratio, rate, resting / config.filter.lead, here, config)
     trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half,
                   state.shifted_m)
@@ -310,28 +318,30 @@ def _half_width(force: float, ratio: float, rate: float, resting: float, here: A
     return NORMAL_95 * math.hypot(config.noise_n / ratio, relative * force, 0.5 * config.start_lag * rate / ratio)
 
 
-def _migrated(learnt: tuple[float, ...], shifted_m: float, config: ExtendedConfig) -> float:
-    """Return how much of the learnt correction is a shift of the rope's zero, m: its mean while a force is desired.
+def _migrated(learnt: Array, feedback: Array, shifted_m: float, config: ExtendedConfig) -> tuple[Array, Array, float]:
+    """Return (learnt correction, feedback, shift) of a gait cycle, m, of which the rope's zero has taken its part.
 
-    Only a zero moves the rope by as much under every load; it is followed at idle, too, where nothing measures it.
+    Only a zero moves the rope by as much under every load: that part is the mean correction while a force is desired.
+    It is followed at idle, too, where nothing measures it.
     """
     by_stride, in_all = config.migration
-    if not in_all:
-        return 0.0
-    loaded = [one for one, desired in zip(learnt, config.gait.desired, strict=True) if desired > 0.0]
-    step = min(max(sum(loaded) / max(len(loaded), 1), -by_stride), by_stride)
-    return min(max(shifted_m + step, -in_all), in_all) - shifted_m
+    taut = 1.0 - np.array(config.gait.slack) / max(config.gait.slack)
+    held, fed = (float(column[taut == 1.0].mean()) for column in (learnt, feedback))
+    after = shifted_m + min(max(held + fed, -by_stride), by_stride)
+    after = min(max(after, -in_all), in_all)
+    return learnt - held * taut, feedback - (after - shifted_m - held) * taut, after
 
 
 def on_cycle_end(state: ExtendedState, config: ExtendedConfig) -> ExtendedState:
     """A gait cycle is over: its feedback and the drive's errors are learnt, its evidence moves the friction."""
     followed = follow(state.followed, evidence_of(state.history))
     feedback, missed = learning.columns(state.history, config.gait.samples)
-    learnt = learning.learn(state.learnt, feedback, config.filter)
-    moved = _migrated(learnt, state.shifted_m, config)
-    if moved:
-        most = max(config.gait.slack)
-        learnt = tuple(one - moved * (1.0 - slack / most) for one, slack in zip(learnt, config.gait.slack, strict=True))
+    known, shifted_m = state.learnt, state.shifted_m
+    if config.migration[1] > 0.0:
+        held = np.array(known) if known else np.zeros(config.gait.samples)
+        held, feedback, shifted_m = _migrated(held, feedback, shifted_m, config)
+        known = tuple(held.tolist())
+    learnt = learning.learn(known, feedback, config.filter)
     return state._replace(
-        law=law_at(config.law, followed), followed=followed, learnt=learnt, shifted_m=state.shifted_m + moved,
+        law=law_at(config.law, followed), followed=followed, learnt=learnt, shifted_m=shifted_m,
         tracked=learning.learn(state.tracked, missed, config.tracking), history=None)

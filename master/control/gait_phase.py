@@ -74,11 +74,12 @@ class Reading(NamedTuple):
     fresh: bool
 
 
-RAMP_S: Final = 0.1
-"""Time in which the force goes where there is no phase, and in which the rope is paid out then, s."""
-MARGIN, SURE = 0.05, 0.05
+RAMP_S: Final = 0.06
+"""Time in which the force goes where there is no phase, and in which the rope is paid out then, s: with what the
+innovation test needs of a stumble, a tenth of a second.  Shorter: the drive's bound of speed makes a step of it."""
+MARGIN, SURE = 0.05, 0.01
 """Part of a stride for which the rope must stay slack before the force is asked for again, and the greatest standard
-deviation of the phase then, cycles."""
+deviation of the phase then, cycles: half of that with which a phase begins, so that some time passes."""
 
 
 def follow(share: float, reading: Reading, gait: GaitTable) -> float:

@@ -340,9 +340,15 @@ def test_an_error_within_the_doubt_of_the_discrepancy_is_hardly_fed_back() -> No
 def test_a_migrated_zero_is_followed_within_its_ranges_and_a_load_dependent_error_is_not(sign: float) -> None:
     """A correction that is alike under every load moves the zero, by stride and in all at most as much as is stated."""
     config = dataclasses.replace(configured(), migration=(2e-4, 5e-4))
-    loaded = [1.0 if desired > 0.0 else 0.0 for desired in config.gait.desired]
+    taut = np.array(config.gait.slack) == 0.0
+    load = np.array(config.gait.desired) / 40.0
     shifted = 0.0
     for expected in (2e-4, 4e-4, 5e-4, 5e-4):
-        shifted += extended._migrated(tuple(sign * 1e-3 * share for share in loaded), shifted, config)
+        learnt, fed, shifted = extended._migrated(0.0 * taut, sign * 1e-3 * taut, shifted, config)
         assert shifted == pytest.approx(sign * expected)
-    assert extended._migrated(tuple(loaded), 0.0, configured()) == 0.0
+        assert learnt[taut].mean() == 0.0
+        assert fed[~taut & (np.array(config.gait.slack) == max(config.gait.slack))] == pytest.approx(0.0)
+    learnt, fed, shifted = extended._migrated(1e-4 * load, 0.0 * load, 0.0, config)
+    left = (learnt + fed)[taut] - (1e-4 * load[taut] - shifted)
+    assert left == pytest.approx(0.0 * left, abs=1e-12)
+    assert shifted == pytest.approx(1e-4 * load[taut].mean())
