@@ -30,6 +30,9 @@ from physics.reference import Reference
 ENDS_A_STEP: Final = (Exception, SystemExit)
 """Exceptions of a controller that end in the safe stop; Ctrl-C is handled elsewhere."""
 NAN: Final = math.nan
+COMPARED_S: Final = 2.0 * gait_phase.RAMP_S
+"""Time after which a force that follows a phase again is compared with earlier gait cycles, s: learnt corrections have
+faded in by then (`extended.FADED_S`), and the drive has followed."""
 HURRY = 5.0
 """Speed of the slack approach to the run-in, relative to homing."""
 
@@ -116,12 +119,14 @@ def steps(
         step, state = control.step, control.initial()
     inputs = exchange.inputs
     memory, share, more, place = gait_phase.initial(), 1.0 if felt is None else -1.0, (), 0.0
+    followed_s = math.inf if felt is None else 0.0
     for sample in range(first, last):
         i = sample % samples
         if felt is not None:
             lost = inputs.missing & NEEDED
             reading, memory = gait_phase.step(felt, memory, NAN if lost else inputs.knee_angle_rad)
             share = gait_phase.follow(share, reading._replace(known=reading.known and sample < until), table)
+            followed_s = followed_s + table.period_s if share == 1.0 else 0.0
             place = reading.phase * samples
             i = int(place) % samples
             more = (NAN if true_percent is None else true_percent(sample), 100.0 * reading.doubt, share)
@@ -154,7 +159,7 @@ def steps(
             feedforward_m=trace.feedforward_m, impedance_dx_m=trace.impedance_dx_m,
             friction_ratio=trace.friction_ratio, rope_direction=trace.rope_direction,
             strain_direction=trace.strain_direction, own=(*trace.own, *more, trace.zero_m) if more else trace.own,
-            follows_phase=share == 1.0, zero_m=trace.zero_m))
+            follows_phase=followed_s >= COMPARED_S, zero_m=trace.zero_m))
         inputs = exchange.inputs
 
 
