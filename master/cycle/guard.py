@@ -157,9 +157,7 @@ class Guard:
 
     def _limit(self, condition: Condition, text: str, node: int) -> StopError:
         """Return the stop for a passed limit; if a relation is nearly violated as well, the sentence names it."""
-        if self.plausibility is None or not self.enabled:
-            return StopError(condition, text, node)
-        doubt = self.plausibility.doubt()
+        doubt = self.plausibility.doubt() if self.plausibility is not None and self.enabled else None
         if doubt is None:
             return StopError(condition, text, node)
         suspicion = blamed(doubt, self._path)
@@ -193,7 +191,8 @@ class Guard:
         self._watch_ns = now_ns + WATCH_NS
         number = self._interrupted()
         if number:
-            raise StopError(Condition.INTERRUPTED, f"by {_signal_name(number)}")
+            name = "the operator (Ctrl-C)" if number == signal.SIGINT else signal.Signals(number).name
+            raise StopError(Condition.INTERRUPTED, f"by {name}")
         for node in self._watched:
             beat = self._link.beats.get(node)
             if beat is None or now_ns - beat.time_ns > self._timeout_ns:
@@ -268,11 +267,3 @@ def _taken(waiting: deque[T], another_s: Callable[[T], bool]) -> Iterator[T]:
             waiting.append(first)
         else:
             yield first
-
-
-def _signal_name(number: int) -> str:
-    names = {signal.SIGINT: "the operator (Ctrl-C)"}
-    try:
-        return names.get(signal.Signals(number)) or signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"

@@ -1,6 +1,6 @@
 """The matrix with the safety monitor: `python -m tests.faults.monitor_alone [--guards alone master both] [--drive …]
-[--rows PATTERN] [--moments …] [--every N] [--csv FILE] [--page FILE] [--healthy N]`. A run replaces its own drives and
-supervisions in the CSV and keeps the others.
+[--rows PATTERN] [--moments …] [--every N] [--csv FILE] [--page FILE] [--healthy N]`. A run replaces its own runs in the
+CSV and keeps the others.
 
 Supervisions of one fault: the monitor alone (the master's checks are switched off here, in this process; the product
 has no such switch), for its faults beyond a bound the monitor and a weak link in the rope at the drum, the master
@@ -34,12 +34,15 @@ from master.cycle.safety import StopError
 from nodes.drives import axis_law
 from nodes.drives.drive import Drive
 from nodes.drives.servo import ServoDrive
-from tests.faults import plants
+from tests.faults import judge, plants
 from tests.faults.rows import ROWS
 from tests.faults.stage import Row, Told, Walk, trial
 
-BOUND_START_N, BOUND_END_N, BEYOND_DEG = 120.0, 80.0, 5.0
-"""Bounds of a single fault under the monitor alone: true tensions, and the leg beyond the person's range."""
+BEYOND_DEG: Final = 5.0
+"""Degrees by which a fault may take the leg beyond the person's range."""
+SINGLE, PRESENT = (120.0, 80.0), (judge.OVER * judge.START_LIMIT_N, judge.OVER * judge.END_LIMIT_N)
+BOUNDS_N: Final = {"alone": SINGLE, "link": SINGLE, "master": PRESENT, "both": PRESENT}
+"""Bounds of true START and END, N: those of a single fault without the master, and those of the matrix with it."""
 GUARDS: Final = ("alone", "link", "master", "both")
 WORDS: Final = {"alone": "monitor alone", "link": "monitor and weak link", "master": "master, no monitor",
                 "both": "both"}
@@ -74,7 +77,8 @@ def supervised(row: Row, told: Told, guard: str, drive: str, walk: Walk, bounds:
     start_n, end_n = (max(float(true[:, place].max(initial=0.0)) for true in paths) for place in (1, 2))
     legs = np.degrees(np.concatenate([true[:, 3] for true in paths]))
     low, high = float(legs.min(initial=0.0)), float(legs.max(initial=-90.0))
-    within = (start_n <= BOUND_START_N and end_n <= BOUND_END_N and low >= bounds.knee_low_deg - BEYOND_DEG
+    most_start_n, most_end_n = BOUNDS_N[guard]
+    within = (start_n <= most_start_n and end_n <= most_end_n and low >= bounds.knee_low_deg - BEYOND_DEG
               and high <= bounds.knee_high_deg + BEYOND_DEG)
     return Supervised(drive, guard, row.name, told.moment, str(walk), round(start_n, 1), round(end_n, 1),
                       round(low, 1), round(high, 1), _stopped_by(told), within)
@@ -287,7 +291,7 @@ def main() -> int:
     if given.healthy:
         return int(bool(healthy(given.healthy)))
     turns = list(itertools.product(given.drive, given.guards))
-    found = [row for row in kept(given.csv) if (row.drive, row.guard) not in turns]
+    found = kept(given.csv)
     rows = chosen(given.rows, given.moments, given.every)
     for drive, guard in turns:
         for row in ran(beyond(rows, found, drive) if guard == "link" else rows, guard, drive, given.person, given.jobs):
@@ -295,6 +299,7 @@ def main() -> int:
             print(f"{'      ' if row.within else 'BEYOND'} {row.drive:6} {row.guard:6} {row.fault:42} "
                   f"{row.moment:7} {row.start_n:6.1f}/{row.end_n:6.1f} N {row.low_deg:6.1f}…{row.high_deg:5.1f}°  "
                   f"{row.stopped_by}", flush=True)
+    found = list({(row.drive, row.guard, row.fault, row.moment, row.walk): row for row in found}.values())
     found.sort(key=lambda row: (row.drive != "own", GUARDS.index(row.guard)))
     if given.csv:
         with given.csv.open("w", encoding="utf-8", newline="") as file:

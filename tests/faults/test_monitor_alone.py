@@ -16,7 +16,17 @@ ROOT = Path(__file__).parents[2]
 def test_the_monitor_alone_keeps_the_limb_within_its_bounds(drive: str) -> None:
     run = subprocess.run(
         [sys.executable, "-m", "tests.faults.monitor_alone", "--guards", "alone", "--drive", drive, "--moments", "idle",
-         "--rows", "^knee encoder sign flipped$|^knee stage runs away$|^START × 0.5$"],
+         "--rows", "^knee encoder sign flipped$|^knee stage runs away$|^START × 0.5$|^servo stage shorted"],
         cwd=ROOT, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout + run.stderr
-    assert run.stdout.count("monitor: ") == 3
+    assert run.stdout.count("monitor: ") == 4
+
+
+@pytest.mark.faults
+def test_a_creep_that_two_encoders_share_ends_at_the_persons_range() -> None:
+    """The master's signals agree with each other, so it concludes nothing; the monitor has a knee angle of its own."""
+    run = subprocess.run(
+        [sys.executable, "-m", "tests.faults.monitor_alone", "--guards", "both", "--moments", "idle",
+         "--rows", "creep in agreement by 2°/s$"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "monitor: knee angle beyond its bounds" in run.stdout
