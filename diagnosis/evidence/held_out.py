@@ -109,13 +109,12 @@ class HeldOut:
         made: dict[str, list[Compared]] = {name: [] for name in self.observed.outputs}
         models = (self.reference, self.session, self.session if self.named is None else self.named)
         sides = zip(*map(self.observed.each, models), tables, self.blocks, strict=True)
-        for *predicted, table, block in sides:
-            trial = predicted[0][0]
-            errors = [self.observed.model.errors(trial, rest) for _, rest in predicted]
+        for (trial, reference), (_, session), (_, last), table, block in sides:
+            before, adapted, after = (self.observed.model.errors(trial, rest) for rest in (reference, session, last))
             along = _along(trial, table)
             for name in made:
                 made[name].append(Compared(name, self.observed.model.signals[name], trial.binned(trial.measured(name)),
-                                           *(error[name] for error in errors), block, along))
+                                           before[name], adapted[name], after[name], block, along))
         return made
 
 

@@ -103,7 +103,8 @@ def load(page: Page, trial: TrialFile, frame_bits: FrameBits, bound_percent: flo
             window, bits = ((frames["time_ns"] - first_ns) // WINDOW_NS).clip(0), frame_bits(frames)
             for name, _, rows in [*_kinds(frames["can_id"]), ("all frames", "", np.ones(len(frames), bool))]:
                 if rows.any():
-                    sums[name] = _added(sums.get(name, np.empty(0)), np.bincount(window[rows], bits[rows]))
+                    own = np.bincount(window[rows], bits[rows]).astype(np.float64)
+                    sums[name] = _added(sums.get(name, np.empty(0)), own)
     if not every:
         return
     page.section("Bus load")
@@ -126,7 +127,7 @@ def load(page: Page, trial: TrialFile, frame_bits: FrameBits, bound_percent: flo
 
 def _added(one: Floats, other: Floats) -> Floats:
     """Return the sum of two arrays; the shorter one is followed by zeros."""
-    longer, shorter = (one, other) if len(one) >= len(other) else (other.astype(np.float64), one)
+    longer, shorter = (one, other) if len(one) >= len(other) else (other, one)
     longer[:len(shorter)] += shorter
     return longer
 
