@@ -169,24 +169,27 @@ def open_file(path: str | Path, table: str = cdr.CYCLE) -> TrialFile:
     Raises `InputError` where its descriptions are torn, damaged, foreign or contradict themselves; its data are checked
     as they are read.
     """
-    path = Path(path)
     with records.mapped(path) as view:
-        summary = scan.summary(view, path)
-        channel = _described(summary, table, path)
-        metadata = scan.metadata(view, summary, path)
-        return TrialFile(
-            path=path,
-            units=_columns(channel, path)[1],
-            events=_events(view, summary, path),
-            metadata=metadata.get("trial", {}),
-            attachments=scan.attachments(view, summary, path),
-            result=_result(metadata.get("result"), path),
-            derived=frozenset(channel.metadata.get("derived", "").split()),
-            recovered=metadata.get("recovered"),
-            table=table,
-            _summary=summary,
-            _identity=_identity(path),
-        )
+        return _file(view, Path(path), table)
+
+
+def _file(view: records.View, path: Path, table: str) -> TrialFile:
+    summary = scan.summary(view, path)
+    channel = _described(summary, table, path)
+    metadata = scan.metadata(view, summary, path)
+    return TrialFile(
+        path=path,
+        units=_columns(channel, path)[1],
+        events=_events(view, summary, path),
+        metadata=metadata.get("trial", {}),
+        attachments=scan.attachments(view, summary, path),
+        result=_result(metadata.get("result"), path),
+        derived=frozenset(channel.metadata.get("derived", "").split()),
+        recovered=metadata.get("recovered"),
+        table=table,
+        _summary=summary,
+        _identity=_identity(path),
+    )
 
 
 def open(path: str | Path) -> Trial:
@@ -196,16 +199,23 @@ def open(path: str | Path) -> Trial:
 
 def open_table(path: str | Path, table: str) -> Trial:
     """Open a file whose columns are in the topic `table`, whole in memory."""
-    return whole(open_file(path, table))
+    with records.mapped(path) as view:
+        return _whole(view, _file(view, Path(path), table))
 
 
 def whole(file: TrialFile) -> Trial:
     """Return a trial in memory; raises `InputError` as `TrialFile.blocks` does."""
     if isinstance(file, Trial):
         return file
-    with file._view() as (view, summary):
-        times, values, lost = _table(view, summary, _described(summary, file.table, file.path), file.path)
-    stored = dict(zip(_columns(_described(summary, file.table, file.path), file.path)[0], values, strict=True))
+    with file._view() as (view, _):
+        return _whole(view, file)
+
+
+def _whole(view: records.View, file: TrialFile) -> Trial:
+    summary = file._summary or scan.summary(view, file.path)
+    channel = _described(summary, file.table, file.path)
+    times, values, lost = _table(view, summary, channel, file.path)
+    stored = dict(zip(_columns(channel, file.path)[0], values, strict=True))
     descriptions = {part.name: getattr(file, part.name) for part in fields(TrialFile)}
     return Trial(**descriptions, time_ns=times, lost_cycles=lost,
                  columns={name: stored[file.stored_names.get(name, name)] for name in file.units})
@@ -234,9 +244,9 @@ def frame_blocks(
         return
     if channel.schema != cdr.FRAME_SCHEMA:
         raise InputError(f"{path}: {channel.topic} is not {cdr.FRAME_SCHEMA_NAME}; say bowden import.")
-    for chunk in scan.chunks_of(summary, channel.number, path, len(view)):
-        yield cdr.frame_rows(_fixed(scan.content(view, chunk, path, summary.checked), cdr.FRAME_RECORD, channel.number,
-                                    path))
+    chunks = scan.chunks_of(summary, channel.number, path, len(view))
+    for content in scan.contents(view, chunks, path, summary.checked):
+        yield cdr.frame_rows(_fixed(content, cdr.FRAME_RECORD, channel.number, path))
 
 
 def _result(written: Mapping[str, str] | None, path: Path) -> dict[str, object] | None:
@@ -299,12 +309,14 @@ def _table_records(
     """Yield the message records of a table, a chunk at a time; raises `InputError` where their times do not rise."""
     channel = _described(summary, table, path)
     dtype, count, before_ns = cdr.cycle_record(len(_columns(channel, path)[0])), 0, -1
-    for chunk in scan.chunks_of(summary, channel.number, path, len(view)):
-        rows = _fixed(scan.content(view, chunk, path, summary.checked), dtype, channel.number, path)
+    chunks = scan.chunks_of(summary, channel.number, path, len(view))
+    for content in scan.contents(view, chunks, path, summary.checked):
+        rows = _fixed(content, dtype, channel.number, path)
         if not len(rows):
             continue
-        back = np.flatnonzero(np.diff(rows["log_time"].astype(np.int64), prepend=before_ns) <= 0)
-        if len(back):
+        times = rows["log_time"].astype(np.int64)
+        if times[0] <= before_ns or not (times[1:] > times[:-1]).all():
+            back = np.flatnonzero(np.diff(times, prepend=before_ns) <= 0)
             raise InputError(
                 f"{path}: {table} row {count + back[0] + 1} is at {rows['log_time'][back[0]]} ns, not after the row "
                 "before; say bowden import, which can mend and count that.")

@@ -24,9 +24,8 @@ from trial.mcap_file import container as mcap
 from trial.mcap_file.cdr import MESSAGE_HEAD
 
 CHUNK_LIMIT = 64 << 20  # one chunk, unpacked; writers in use make chunks of 64 KiB to 16 MiB
-CHECKED_AT_ONCE = 1 << 20
-MAPPED_AT_ONCE = max(1 << 16, mmap.PAGESIZE)
-"""Bytes around a read byte that Linux maps with it (fault_around_bytes)."""
+SPAN = 16 << 20
+"""Bytes of a file that a reader from front to back leaves mapped."""
 _HEAD = struct.Struct("<BQ")
 _CHANNEL = struct.Struct("<HH")
 CHUNK_FIELDS = struct.Struct("<QQQI")  # first and last time, size unpacked, checksum
@@ -102,20 +101,20 @@ def mapped(path: str | Path) -> Iterator[mmap.mmap]:
         raise InputError(f"{path}: cannot be read ({reason}); give a recorded trial.") from None
 
 
-def release(view: View, begin: int, end: int) -> None:
-    """Drop a file's pages from this process's memory, so that a long file takes no more than a short one."""
+def release(view: View, end: int) -> None:
+    """Drop the pages before `end` from this process's memory; a file that is read on maps them again."""
     if isinstance(view, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
-        begin -= begin % MAPPED_AT_ONCE
-        view.madvise(mmap.MADV_DONTNEED, begin, min(end + MAPPED_AT_ONCE, len(view)) - begin)
+        view.madvise(mmap.MADV_DONTNEED, 0, end)
 
 
-def checksum(view: View, begin: int, end: int) -> int:
-    """Return the CRC-32 of a part of a file."""
+def checksum(view: View, end: int) -> int:
+    """Return the CRC-32 of the front of a file."""
     crc = 0
-    for at in range(begin, end, CHECKED_AT_ONCE):
-        stop = min(at + CHECKED_AT_ONCE, end)
-        crc = zlib.crc32(view[at:stop], crc)
-        release(view, at, stop)
+    with memoryview(view) as whole:
+        for at in range(0, end, SPAN):
+            with whole[at:min(at + SPAN, end)] as part:
+                crc = zlib.crc32(part, crc)
+            release(view, min(at + SPAN, end))
     return crc
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ from parameters import InputError
 from parameters.files import most_unpacked
 from trial.mcap_file import container as mcap
 from trial.mcap_file.records import (
+    SPAN,
     Channel,
     Cursor,
     CutError,
@@ -98,7 +100,7 @@ def _data_checked(view: View, start: int, path: str | Path) -> bool:
     if end < 0 or (opcode, length) != (mcap.DATA_END, 4):
         raise CutError
     stated = int.from_bytes(view[start - 4:start], "little")
-    if stated and checksum(view, 0, end) != stated:
+    if stated and checksum(view, end) != stated:
         raise InputError(f"{path}: bits were changed (checksum); say bowden recover {path} -o FILE.")
     return stated != 0
 
@@ -157,10 +159,19 @@ def content(view: View, chunk: ChunkAt, path: str | Path, checked: bool) -> byte
     except (CutError, StopIteration, ValueError) as error:
         reason = f" ({error})" if str(error) else ""
         raise InputError(f"{damaged}{reason}; say bowden recover {path} -o FILE.") from None
-    release(view, chunk.offset, chunk.offset + chunk.length)
     if unpacked != chunk.unpacked:
         raise InputError(f"{damaged} (its index states another size); say bowden recover {path} -o FILE.")
     return data
+
+
+def contents(view: View, chunks: Iterable[ChunkAt], path: str | Path, checked: bool) -> Iterator[bytes]:
+    """Yield what `content` returns of each chunk; at most `SPAN` bytes of the file and a chunk stay mapped."""
+    mapped = 0
+    for chunk in chunks:
+        yield content(view, chunk, path, checked)
+        if chunk.offset - mapped > SPAN:
+            release(view, chunk.offset)
+            mapped = chunk.offset
 
 
 def attachments(view: View, found: Summary, path: str | Path) -> dict[str, bytes]:
