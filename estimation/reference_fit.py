@@ -313,6 +313,7 @@ class _Fit:
         """Descend with the last estimates of noise and discrepancy, and return the fit."""
         self._descend()
         self.linear = [self._linearised(k) for k in range(len(self.trials))]
+        self.scatter_n = self._missed()
         bench = self._bounded()
         # features stay those simulated at the origin: the states change by far less than the length scale
         prior = Gaussian(bench.origin, bench.mean + self._lift(bench.mean),
@@ -350,18 +351,22 @@ class _Fit:
     def _scatter(self) -> None:
         """Estimate 1σ between sessions from the reference trials, by one step of expectation maximisation.
 
-        The prior of σ² is inverse-gamma about the model's value, with the weight of `PRIOR_SESSIONS` sessions.
+        All of the model's values are scaled by what the repeats differ by; the prior of each σ² is inverse-gamma about
+        its scaled value, with the weight of `PRIOR_SESSIONS` sessions.
         """
+        free, count = len(self.free), len(self.trials)
         prior = self._stated(self.model.session_at(self.origin))[self.free] ** 2
-        squares = np.zeros(len(self.free))
-        for k, x in enumerate(self.at):
-            deviation = np.sqrt(self._session())
-            design = self.linear[k].design * deviation
-            inner = np.linalg.inv(np.eye(deviation.size) + (design.T * self.linear[k].weight) @ design)
-            left = deviation**2 * np.diag(inner)
-            squares += ((x - self.bench) ** 2 + left)[:len(self.free)]
-        count = len(self.trials)
-        self.session_sd[self.free] = np.sqrt((PRIOR_SESSIONS * prior + squares) / (PRIOR_SESSIONS + count))
+        deviation = np.sqrt(self._session())
+        moved, left = np.zeros(free), np.zeros(free)
+        for x, linear in zip(self.at, self.linear, strict=True):
+            design = linear.design * deviation
+            inner = np.linalg.inv(np.eye(deviation.size) + (design.T * linear.weight) @ design)
+            moved += (x - self.bench)[:free] ** 2
+            left += np.diag(inner)[:free]
+        known = (count - left) * (1.0 - 1.0 / count)  # the bench is the mean of its sessions
+        scale = scale_of(float(known.sum()), float((moved / prior).sum()))
+        self.session_sd[self.free] = np.sqrt((PRIOR_SESSIONS * scale * prior + moved + left * deviation[:free] ** 2) / (
+            PRIOR_SESSIONS + count))
 
     def _mean_cost(self) -> float:
         """Return the mean cost per datum of the reference trials at their modes."""
@@ -513,7 +518,7 @@ class _Fit:
                             self.tau, self.scatter_n, 1.0, self.reach)
 
     def _noise(self, least_share: float = 0.1) -> None:
-        """Estimate model error by load quarter, autocorrelation and `scatter_n` from the residuals at the modes.
+        """Estimate model error by load quarter and autocorrelation from the residuals at the modes.
 
         A rig's reference trials may be few data, so its number of data is reduced by the degrees of freedom of the fit,
         to a share `least_share` at least.
@@ -541,7 +546,7 @@ class _Fit:
             left = np.maximum(left - self.tau[:, None] * fitted, least_share * left) / POOLED
         self.model_error = np.maximum(squares / left, least)
         self.identified = [(self._constants(x), x[len(self.free):]) for x in self.at]
-        self.scatter_n = self._missed()
+        self.linear = [self._linearised(k) for k in range(len(self.trials))]
 
     def _determined(self, k: int) -> Array:
         """Return by how much each datum of trial `k` determines its own prediction: diagonal of H(HᵀWH + P⁻¹)⁻¹HᵀW."""
@@ -580,7 +585,6 @@ class _Fit:
         A single reference trial is predicted by its own model.
         """
         squares: dict[str, list[float]] = {name: [] for name in self.outputs}
-        self.linear = [self._linearised(k) for k in range(len(self.trials))]
         for j, trial in enumerate(self.trials):
             models = self._others(j)
             rest = np.mean([trial.data - predicted(self.model, q, trial) - self.features[j] @ c
@@ -599,6 +603,18 @@ class _Fit:
             return [self.identified[k] for k in others]
         mean = self._posterior(others).mean
         return [(self._constants(mean), mean[len(self.free):])]
+
+
+def scale_of(known: float, squares: float) -> float:
+    """Return the mean of the posterior of a common factor κ² on variances, from the sum of `squares` of deviations.
+
+    `squares`: relative to the variances without the factor, of `known` degrees of freedom.  ln κ has the prior N(0, 1):
+    the sessions of one rig differ by a third of another's, or by three times as much.
+    """
+    u = np.linspace(-5.0, 3.0, 401)
+    nats = -known * u - 0.5 * squares * np.exp(-2.0 * u) - 0.5 * u**2
+    share = np.exp(nats - nats.max())
+    return float(np.sum(share * np.exp(2.0 * u)) / share.sum())
 
 
 def autocorrelation(rest: Array, most: float = 12.0) -> float:

@@ -76,6 +76,11 @@ class RigRecording(Recording):
         self._smoother = butter(2, self.lowpass_hz, fs=1.0 / GRID_S, output="sos")
         self.data = np.concatenate([self.binned(self.measured(name)) for name in self.outputs])
 
+    def runs_on(self, other: RigRecording, steps: float = 5.0) -> bool:
+        """Return whether one recording's clock continues the other's within `steps` rows: parts of one recording."""
+        first, second = sorted((self._table["time_s"], other._table["time_s"]), key=lambda time: float(time[0]))
+        return bool(0.0 < second[0] - first[-1] < steps / self.rate)
+
     def smoothed(self, values: Array) -> Array:
         """Return predicted signals, low-passed as the outputs and averaged over bins, shape (…, bins)."""
         return self.binned(np.asarray(sosfiltfilt(self._smoother, values, axis=-1)))
@@ -268,11 +273,13 @@ class RigModel(ForwardModel):
     def sessions(self, recordings: Sequence[RigRecording]) -> list[RigSession]:
         """Return recordings grouped by session; two recordings in the same condition belong to different sessions.
 
-        Two conditions are the same if load, speed and stroke differ by less than a quarter.
+        Two conditions are the same if load, speed and stroke differ by less than a quarter.  Recordings whose clock
+        runs on from one to the other are parts of one session.
         """
         made: list[list[RigRecording]] = []
         for one in recordings:
-            rank = sum(self._alike(one, other) for session in made for other in session)
+            rank = sum(any(self._alike(one, other) and not one.runs_on(other) for other in session)
+                       for session in made)
             if rank == len(made):
                 made.append([])
             made[rank].append(one)
@@ -373,7 +380,11 @@ class RigModel(ForwardModel):
         ratio, offset, spring, *own = _fitted(trial, START, [end, one, trial.x - trial.x.mean(), *rubs])
         if np.std(end) < 0.02 * np.abs(end).mean():  # with a constant load, ratio and offset are confounded
             ratio, offset, spring, *own = 1.0, *_fitted(trial, START, [one, trial.x - trial.x.mean(), *rubs], end)
-        return {"ratio": ratio, "offset": offset, "spring": spring, "travel": travel, **self._sized("", own)}
+        # ratio·e^(±c) is ratio·cosh c ± ratio·sinh c
+        wraps = float(np.arctanh(np.clip(own[1] / (self.scale.end * ratio), -0.9, 0.9)))
+        own[1] = self.scale.end * np.sinh(wraps)
+        return {"ratio": ratio / np.cosh(wraps), "offset": offset, "spring": spring, "travel": travel,
+                **self._sized("", own)}
 
     def _force_terms(self, trial: Taken, travel: float) -> dict[str, float]:
         columns = {"inertia": trial.a, "drive_offset": np.ones_like(trial.x)}

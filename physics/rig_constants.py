@@ -135,6 +135,7 @@ def _friction(prefix: str, output: str, load: bool, scale: RigScale) -> Sequence
 def _tension(scale: RigScale) -> Sequence[ModelConstant]:
     row, size, peak = ModelConstant, scale.spread[START], scale.peak[START]
     return [
+        row("lead", "m/N", 1e-2 * scale.stroke / peak, "log", 2.0, 0.1, "compliance between drive and sheath"),
         row("ratio", "", 1.0, "linear", 0.2, 0.005, "START over END without friction"),
         row("ratio_slope", "", 0.0, "linear", 0.1, 0.005, "relative change of the ratio over the stroke"),
         row("offset", "N", 0.0, "linear", 0.1 * peak, 0.003 * peak, "difference of the sensors' zeros"),

@@ -6,6 +6,7 @@ shape (sets, samples).  A set of constants is a row of `physics.rig_constants`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -44,35 +45,83 @@ def dahl_states(rope, travels):  # type: ignore[no-untyped-def]
     return out
 
 
-def friction(given: Constants, motion: RigMotion, prefix: str, load: Array, speed: float) -> Array:
-    """Return the friction force by the equation of `physics.effects.rig_hypotheses`.
+def drive_friction(given: Constants, motion: RigMotion, load: Array, speed: float) -> Array:
+    """Return the friction force of a drive by the equation of `physics.effects.rig_hypotheses`.
 
     `load`: relative to its RMS or scale.  `speed`: RMS speed, at which the Stribeck curve is 1, so that `friction` is
     the sliding friction of the trials that gave it.
     """
-    travels, row = np.unique(given[prefix + "travel"][:, 0], return_inverse=True)
+    travels, row = np.unique(given["drive_travel"][:, 0], return_inverse=True)
     slip = dahl_states(motion.x, travels)[row.ravel()]
-    a, b = given[prefix + "load_share"], given[prefix + "viscous_share"]
-    dry = 1.0 - a - b
-    dry = 0.5 * (dry + np.sqrt(dry * dry + 4e-4))
-    slow = given[prefix + "rest_speed"]
-    curve = 1.0 + given[prefix + "rest"] * (np.exp(-((motion.v / slow) ** 2)) - np.exp(-((speed / slow) ** 2)))
-    drag = motion.v / speed
-    size = given[prefix + "friction"]
-    if prefix:
-        dry = dry * (1.0 + given["drive_asymmetry"] * slip)
-        drag = drag + given["drive_viscous_asymmetry"] * np.abs(drag)
-    else:
-        size = size * (1.0 + given["drift"] * (motion.progress - 0.5))
+    curve, drag = _sliding(given, motion, "drive_", speed)
+    a, b, size = given["drive_load_share"], given["drive_viscous_share"], given["drive_friction"]
+    dry = dry_part(a, b) * (1.0 + given["drive_asymmetry"] * slip)
+    drag = drag + given["drive_viscous_asymmetry"] * np.abs(drag)
     return np.asarray(size * ((dry + a * load) * slip * curve + b * drag))
 
 
+def _sliding(given: Constants, motion: RigMotion, prefix: str, speed: float) -> tuple[Array, Array]:
+    """Return the Stribeck curve and the speed relative to its RMS `speed`, at which the curve is 1."""
+    slow = given[prefix + "rest_speed"]
+    curve = 1.0 + given[prefix + "rest"] * (np.exp(-((motion.v / slow) ** 2)) - np.exp(-((speed / slow) ** 2)))
+    return curve, motion.v / speed
+
+
+def dry_part(load_share: Array, viscous_share: Array) -> Array:
+    """Return the share of dry friction, that of load and speed taken off, where positive, rounded over 0.02."""
+    dry = 1.0 - load_share - viscous_share
+    return np.asarray(0.5 * (dry + np.sqrt(dry * dry + 4e-4)))
+
+
 def start_force(given: Constants, motion: RigMotion, end: Array, sense: float, scale: RigScale, step_s: float) -> Array:
-    """Return START from END, N: ratio by position, offset, spring, friction; `sense`: its sign over the motion."""
-    rubbed = friction(given, motion, "", np.abs(end) / scale.end, scale.speed)
+    """Return START from END, N, by the capstan equation beside dry and viscous friction, offset and spring.
+
+    START = ratio·END·e^(±c) + …, c = asinh(friction·load_share/T₀) the exponent μθ: at the RMS of END, T₀, that share
+    of the friction is half of what START differs by between the two directions.  A cable that pushes has the friction
+    of one that pulls as much.  `sense`: sign of friction over the motion, 1 if a growing position pulls.  The sheath
+    begins `lead`·START behind the position.
+    """
+    curve, drag = _sliding(given, motion, "", scale.speed)
+    a, b = given["load_share"], given["viscous_share"]
+    size = given["friction"] * (1.0 + given["drift"] * (motion.progress - 0.5))
     ratio = given["ratio"] * (1.0 + given["ratio_slope"] * (motion.x - motion.x.mean()) / scale.stroke)
-    return late(ratio * end + given["offset"] + given["spring"] * (motion.x - motion.x.mean()) + sense * rubbed,
-                given["start_lag"], step_s)
+    free = ratio * end + given["offset"] + given["spring"] * (motion.x - motion.x.mean()) + sense * size * b * drag
+    start = _stretched(motion.x, free, ratio * np.abs(end), np.arcsinh(size * a / scale.end) * curve,
+                       size * dry_part(a, b) * curve, given["travel"][:, 0], given["lead"][:, 0], sense)
+    return late(start, given["start_lag"], step_s)
+
+
+@njit(cache=True)
+def _stretched(rope, free, load, wrap, dry, travel, lead, sense):  # type: ignore[no-untyped-def]
+    """Return START, shape (sets, samples): `free` + `load`·(e^(±wrap·s) − 1) ± dry·s, s Dahl's state of the cable.
+
+    The cable slides where the position less its stretch lead·START moves.  Each step is solved implicitly by Newton's
+    method between no slip and the slip of an unchanged friction.
+    """
+    out = np.empty(free.shape)
+    for j in range(free.shape[0]):
+        s, out[j, 0] = 0.0, free[j, 0]
+        for i in range(1, rope.size):
+            f, t, w, d = free[j, i], load[j, i], sense * wrap[j, i], sense * dry[j, i]
+            moved = rope[i] - rope[i - 1] + sense * lead[j] * out[j, i - 1]
+            low, high = 0.0, (moved - sense * lead[j] * (f + t * math.expm1(w * s) + d * s)) / travel[j]
+            way, was = high, s
+            for _ in range(30):
+                s = (was + way) / (1.0 + abs(way))
+                grown = math.exp(w * s)
+                left = way - (moved - sense * lead[j] * (f + t * (grown - 1.0) + d * s)) / travel[j]
+                if abs(left) < 1e-7:
+                    break
+                if (left > 0.0) == (high > 0.0):
+                    high = way
+                else:
+                    low = way
+                slope = (1.0 - was * (1.0 if way > 0.0 else -1.0)) / (1.0 + abs(way)) ** 2
+                way -= left / (1.0 + sense * lead[j] / travel[j] * (t * w * grown + d) * slope)
+                if (way - low) * (way - high) >= 0.0:
+                    way = 0.5 * (low + high)
+            out[j, i] = f + t * math.expm1(w * s) + d * s
+    return out
 
 
 def spring_force(given: Constants, motion: RigMotion, joint: Array, scale: RigScale, step_s: float) -> Array:
@@ -98,8 +147,8 @@ def drive_force(given: Constants, motion: RigMotion, start: Array | None, rig: R
     else:
         rigid = rigid + given["drive_spring"] * (motion.x - motion.x.mean())
     carried = force + rigid if rig.turning else force
-    force = force + rigid + given["drive_offset"] + friction(
-        given, motion, "drive_", np.abs(carried) / scale.spread["servo_force_n"], scale.speed)
+    force = force + rigid + given["drive_offset"] + drive_friction(
+        given, motion, np.abs(carried) / scale.spread["servo_force_n"], scale.speed)
     return late(force, given["drive_lag"], step_s) / given["demand_gain"]
 
 

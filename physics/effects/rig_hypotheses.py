@@ -4,7 +4,8 @@ A rig's friction has a size G, N, and two shares of it that depend on load (a) a
 
     F = G·[(1 − a − b)·s·(1 + α·s) + a·s·T/T₀]·(1 + r·e^(−(v/vₛ)²)) + G·b·(v + β·abs(v))/v₀     s Dahl's state
 
-T is END between two tensions, START of a drive that carries it, and all that accelerates or lifts of a turning axis.
+T is START of a drive that carries it, and all that accelerates or lifts of a turning axis.  Between two tensions the
+load's share is the capstan's, START = END·e^(±c·s), with G·a = T₀·sinh c.
 
 `prefix` "" for friction between two tensions, "drive_" for that of a drive; `load`, `speed`: T₀ and v₀ of the rig.
 """
@@ -36,7 +37,7 @@ LOAD_N: Final = 40.0
 
 
 def parts_of(values: Values, prefix: str, load: float, speed: float) -> tuple[float, float, float]:
-    """Return dry friction, N, friction per N of load, and viscous friction, N·s/m."""
+    """Return dry friction, N, friction per N of load at the RMS load, and viscous friction, N·s/m."""
     size, a, b = (values[prefix + name] for name in ("friction", "load_share", "viscous_share"))
     return size * dry_share(a, b), size * a / load, size * b / speed
 
@@ -72,6 +73,14 @@ def _heavier(values: Values) -> tuple[Variant, ...]:
                      *(Direction({name: 1.0}, 0.4 * abs(values[name])) for name in inertias)), {}),)
 
 
+def _reads_more(values: Values) -> tuple[Variant, ...]:
+    """Return a larger gain of START: offset, ratio, dry and viscous friction grow alike, the capstan's exponent stays.
+    """
+    a, b = values["load_share"], values["viscous_share"]
+    return (Variant((Direction({"ratio": values["ratio"], "offset": values["offset"], "friction": 1.0 - a,
+                                "load_share": -a * (1.0 - a), "viscous_share": a * b}, 0.06),), {}),)
+
+
 def tension_hypotheses(load: float, speed: float, peak: float) -> dict[str, Hypothesis]:
     """Return the effects between two tensions of a rig; `peak`: largest tension, N."""
     def part(k: int) -> Callable[[Values, Values], float]:
@@ -84,7 +93,7 @@ def tension_hypotheses(load: float, speed: float, peak: float) -> dict[str, Hypo
     return {
         "cable_friction": Hypothesis(FRICTION, _variant(
             ({"friction": 1.0}, 0.7), ({"load_share": 1.0}, 0.2), ({"viscous_share": 1.0}, 0.2)), {
-                "mu1": lambda v, b: part(1)(v, b) / THETA1, "coulomb": part(0), "viscous": part(2)}),
+                "mu1": lambda v, b: math.asinh(part(1)(v, b)) / THETA1, "coulomb": part(0), "viscous": part(2)}),
         "viscous_friction": Hypothesis(FRICTION, _share("", "viscous", 0.5), {"viscous": part(2)}),
         "load_dependent_friction": Hypothesis(FRICTION, _share("", "load", 0.5), {"load_slope": slope}),
         "stribeck": Hypothesis(FRICTION, _variant(({"rest": 1.0}, 0.5), ({"rest_speed": 1.0}, 0.8)), {
@@ -93,9 +102,7 @@ def tension_hypotheses(load: float, speed: float, peak: float) -> dict[str, Hypo
             "presliding": lambda v, b: PRESLIDING * v["travel"]}),
         "friction_drift": Hypothesis(FRICTION, _variant(({"drift": 1.0}, 0.5)), {
             "friction_drift": lambda v, b: v["drift"]}),
-        "start_gain": Hypothesis(SENSOR, lambda v: (Variant((Direction(
-            {"ratio": v["ratio"], "friction": 1.0, "offset": v["offset"]}, 0.06),), {}),), {
-                "start_gain": lambda v, b: v["ratio"] / b["ratio"]}),
+        "start_gain": Hypothesis(SENSOR, _reads_more, {"start_gain": lambda v, b: v["ratio"] / b["ratio"]}),
         "end_gain": Hypothesis(SENSOR, lambda v: (Variant((Direction({"ratio": -v["ratio"]}, 0.06),), {}),), {
             "end_gain": lambda v, b: b["ratio"] / v["ratio"]}),
         "start_offset": Hypothesis(SENSOR, _variant(({"offset": 1.0}, 0.05 * peak)), {

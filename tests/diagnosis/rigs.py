@@ -221,6 +221,54 @@ def run_up(seed: int, inertia: float = 3.2e-4, rate_hz: float = 100.0) -> Column
 
 
 @njit(cache=True)
+def _sheathed(drum: Array, wrap: float, travel: float, drag: float, spring: float, damper: float, relaxed_s: float,
+              lead: float) -> Array:
+    """Return (START, END), N, of a cable in a sheath: exact capstan, START = END·e^(±μθ), with pre-sliding.
+
+    END pulls a viscoelastic load (spring and damper beside a spring that relaxes); the cable stretches by `lead`, m/N,
+    before the sheath.  The end's position is found by bisection of the balance of forces.
+    """
+    out = np.empty((2, drum.size))
+    end, state, relaxed = drum[0], 0.0, drum[0]
+    for k in range(drum.size):
+        low, high = end - 2e-4, end + 2e-4
+        start = pull = turned = 0.0
+        for _ in range(40):
+            there = 0.5 * (low + high)
+            moved = there - end
+            way = 1.0 if moved > 0.0 else -1.0
+            turned = way - (way - state) * math.exp(-abs(moved) / travel)
+            pull = spring * there + damper * moved / STEP_S + 0.3 * spring * (there - relaxed)
+            start = pull * math.exp(wrap * turned) + drag * moved / STEP_S
+            if start > (drum[k] - there) / lead:
+                high = there
+            else:
+                low = there
+        state, end = turned, there
+        relaxed += STEP_S / relaxed_s * (end - relaxed)
+        out[0, k], out[1, k] = start, pull
+    return out
+
+
+def cable(seed: int, wrap: float = 0.35, start_gain: float = 1.0, travel: float = 2e-4, drag: float = 30.0,
+          session: float = 0.01, rate_hz: float = 200.0) -> Columns:
+    """A plain Bowden cable with a load cell at each end, 20 s of sines: no knee, no drive force.
+
+    Load cells of 0.15 N noise, 50 Hz; each session has its own friction (`session`, relative) and zeros (0.1 N).
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 20.0, STEP_S)
+    drum = 0.03 + np.asarray(sum(a * np.sin(6.2832 * f * (1.0 + 0.1 * rng.random()) * time + 6.28 * rng.random())
+                                 for a, f in ((0.008, 0.23), (0.004, 0.71), (0.002, 1.3))))
+    day = 1.0 + session * rng.standard_normal()
+    start, end = _sheathed(drum, wrap * day, travel, drag, 1200.0, 25.0, 0.8, 3e-5)
+    zeros = 0.1 * rng.standard_normal(2)
+    return _timed({"servo_position_m": sensed(drum, rate_hz, rng, grid=2e-6),
+                   "tension_start_n": start_gain * sensed(start + zeros[0], rate_hz, rng, 0.15, 0.01, 50.0),
+                   "tension_end_n": sensed(end + zeros[1], rate_hz, rng, 0.15, 0.01, 50.0)}, rate_hz)
+
+
+@njit(cache=True)
 def _sprung(target: Array, motor: Array, spring: Array, load: Array, f: Array, rub: Array) -> Array:
     """Return (motor position, drive's force, spring's force, load angle): motor – spring – lever with a pendulum.
 
