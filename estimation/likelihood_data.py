@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt, sosfreqz
 
 from estimation.data.table import Table
@@ -18,6 +20,12 @@ GRID_S: Final = round(1.0 / (2.0 * math.pi * LOWPASS_HZ), 3)
 """Step of the simulation, s: the time constant of the low-pass, in whole milliseconds."""
 START_S: Final = 0.4
 """Time left out at the start of a trial, s, since the friction states are unknown there."""
+GAP_STEPS: Final = 2.5
+"""Step of the time stamps, in usual steps, above which it is a gap: two rows in succession are lost.
+
+A spline bridges a single row; across more it would invent accelerations."""
+BRIDGED_S: Final = 0.1
+"""Longest gap, s, through which the friction states are led along a line: no reversal is as short."""
 TAUT_N: Final = 3.0
 """START tension, N, up to which the ratio END/START is not computed and is 0.8 instead."""
 SIGNALS: Final = ("tension_end_n", "tension_start_n", "servo_force_n")
@@ -39,8 +47,8 @@ class Recording:
     A bin is four time constants of the low-pass long, so that the noise of two data is about independent.
 
     `outputs`: names of the signals in `data`, which holds all bins of one output after the other.  `noise_n`: 1σ of a
-    bin's sensor noise by output.  `skip`: bins left out at the start.  `along`: signals on the time grid against which
-    errors can be plotted.
+    bin's sensor noise by output.  `rows`: numbers of the bins that count, without the start and without gaps.  `along`:
+    signals on the time grid against which errors can be plotted.
     """
 
     data: Array
@@ -57,25 +65,51 @@ class Recording:
         self.source = table.source
         self.time_s: Array = self._grid - self._grid[0]
         self.progress: Array = self.time_s / self.time_s[-1]
-        self.skip = round(skip_s / GRID_S / self.width)
+        self._gaps = np.flatnonzero(np.diff(time) * self.rate > GAP_STEPS)
+        self.rows = self._recorded(round(skip_s / GRID_S / self.width))
         self.outputs = tuple(outputs)
         self._signals = {name: self.sampled(name) for name in self.outputs}
         self.noise_n = {name: _noise(table[name], self) for name in self.outputs}
 
+    def _recorded(self, skip: int) -> NDArray[np.intp]:
+        """Return the numbers of the bins without `skip` ones at the start, and without those that a gap touches.
+
+        A bin on either side of a gap is left out, too, since a low-pass spreads the edge.  After a gap of `BRIDGED_S`
+        the friction states are unknown again, as at the start.
+        """
+        time, bin_s = self._table["time_s"] - self._table["time_s"][0], self.width * GRID_S
+        kept = np.arange(self.time_s.size // self.width) >= skip
+        for row in self._gaps:
+            first, last = time[row], time[row + 1]
+            after = 1 + (skip if last - first > BRIDGED_S else 0)
+            kept[max(0, int(first / bin_s) - 1):int(last / bin_s) + 1 + after] = False
+        return np.flatnonzero(kept)
+
     def sampled(self, name: str, cutoff_hz: float | None = None) -> Array:
-        """Return a column on the time grid after a zero-phase low-pass; `cutoff_hz`: Hz (None: `lowpass_hz`)."""
+        """Return a column on the time grid after a zero-phase low-pass; `cutoff_hz`: Hz (None: `lowpass_hz`).
+
+        Between two gaps a cubic spline through the time stamps gives even steps, so that no filter and no derivative
+        sees an uneven one.  Within a gap the signal is a line.
+        """
         sos = self._sos if cutoff_hz is None else _lowpass(self.rate, cutoff_hz)
-        return np.asarray(np.interp(self._grid, self._table["time_s"], sosfiltfilt(sos, self._table[name])))
+        time, values = self._table["time_s"], self._table[name]
+        at, smooth = [], []
+        for rows in np.split(np.arange(time.size), self._gaps + 1):
+            even = time[rows[0]] + np.arange(int((time[rows[-1]] - time[rows[0]]) * self.rate + 1e-6) + 1) / self.rate
+            part = values[rows] if rows.size < 4 else CubicSpline(time[rows], values[rows])(even)
+            at.append(even[:part.size])
+            smooth.append(sosfiltfilt(sos, part, padlen=min(3 * (2 * len(sos) + 1), part.size - 1)))
+        return np.asarray(np.interp(self._grid, np.concatenate(at), np.concatenate(smooth)))
 
     @property
     def bins(self) -> int:
-        """Number of data of one output, without those left out at the start."""
-        return self.time_s.size // self.width - self.skip
+        """Number of data of one output."""
+        return self.rows.size
 
     def binned(self, values: Array) -> Array:
-        """Return means over bins, shape (…, bins), of `values`, shape (…, samples), without the start."""
+        """Return means over bins, shape (…, bins), of `values`, shape (…, samples), without start and gaps."""
         means = values.reshape(*values.shape[:-1], -1, self.width).mean(axis=-1)
-        return np.asarray(means[..., self.skip:])
+        return np.asarray(means[..., self.rows])
 
     def part(self, values: Array, output: int) -> Array:
         """Return the rows of output number `output` from `values`, an array over all data."""

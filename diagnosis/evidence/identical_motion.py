@@ -93,8 +93,7 @@ def _difference(fit: ReferenceFit, other: Recording, observed: Observed, number:
     trial, known = observed.trials[0], fit.observe(other)
     q, c = fit.identified[number]
     missed = known.data - known.predicted(q) - known.features @ c
-    at = (np.arange(trial.bins) + trial.skip) * trial.width + lag
-    have = (np.arange(other.bins) + other.skip) * other.width
+    at, have = trial.rows * trial.width + lag, other.rows * other.width
     inside = (at >= have[0]) & (at <= have[-1])
     errors = {name: np.interp(at, have, error) for name, error in fit.model.errors(other, missed).items()}
     made = copy.copy(trial)

@@ -268,6 +268,36 @@ def cable(seed: int, wrap: float = 0.35, start_gain: float = 1.0, travel: float 
                    "tension_end_n": sensed(end + zeros[1], rate_hz, rng, 0.15, 0.01, 50.0)}, rate_hz)
 
 
+def motor(seed: int, coulomb: float = 0.5, viscous: float = 0.02, inertia: float = 0.0205, session: float = 0.02,
+          rate_hz: float = 200.0) -> Columns:
+    """A motor at twelve steady speeds, either way, with ramps between: rad and N·m, 41 s, an exact law.
+
+    Torque noise 0.03 N·m, encoder of 4096 counts; friction differs between sessions by `session`, relative.
+    """
+    rng = np.random.default_rng(seed)
+    levels = [0.0]
+    for speed in rng.permutation([1.0, 2.0, 4.0, 6.0, 9.0, 12.0]):
+        levels += [speed, -speed]
+    target = np.repeat([*levels, 0.0], round(41.0 / 14.0 / STEP_S))
+    ramp = np.hanning(round(0.5 / STEP_S))
+    speed = np.convolve(target, ramp / ramp.sum(), "same")
+    angle = np.cumsum(speed) * STEP_S
+    day = 1.0 + session * rng.standard_normal(2)
+    torque = inertia * np.gradient(speed, STEP_S) + _dragged(angle, speed, Friction(
+        day[0] * coulomb, day[1] * viscous, bristle=1e-3).row())
+    return _timed({"servo_position_rad": sensed(angle, rate_hz, rng, grid=2.0 * math.pi / 4096),
+                   "servo_torque_nm": sensed(torque, rate_hz, rng, 0.03, 1e-4)}, rate_hz)
+
+
+def lossy(columns: Columns, share: float, seed: int = 0, burst: int = 12) -> Columns:
+    """Return a trial that has lost a share of its rows, in gaps of `burst` rows, as a log of a bus does."""
+    rng, count = np.random.default_rng(seed), columns["time_s"].size
+    kept = np.ones(count, bool)
+    for first in rng.integers(burst, count - 2 * burst, round(share * count / burst)):
+        kept[first:first + burst] = False
+    return {name: values[kept] for name, values in columns.items()}
+
+
 @njit(cache=True)
 def _sprung(target: Array, motor: Array, spring: Array, load: Array, f: Array, rub: Array) -> Array:
     """Return (motor position, drive's force, spring's force, load angle): motor – spring – lever with a pendulum.
