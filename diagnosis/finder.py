@@ -25,7 +25,7 @@ from estimation.bench_fit import oriented, turned
 from estimation.data import integrity, scales, table
 from estimation.data.table import Table
 from estimation.likelihood_data import MOTION
-from estimation.path_model import can_be_of_bench
+from estimation.path_model import can_be_of_bench, is_of_bench
 from estimation.rig_model import rig_model_of
 from parameters import InputError, read_toml
 from physics import bench_model
@@ -189,16 +189,14 @@ class Finder:
         return turned(self._locked(given)) if self._reversed else self._locked(given)
 
     def _core(self, trials: Sequence[Table]) -> EvidenceFinder:
-        """Return the diagnosis of these trials: of the bench, if they and the reference trials can be of it.
+        """Return the diagnosis of these trials: of the bench if the reference trials are of it, as `fit` decides.
 
         Else of a rig with the columns that all of them have.
         """
         bench, every = self._bench, [*trials, *self._healthy]
         assert bench is not None
-        if not self._healthy or any("gait_percent" in t for t in every):
-            return bench
-        simulable = [self._simulable(t) for t in trials]
-        if can_be_of_bench(every) and not (bench.lacking(simulable) or bench.unlike(simulable)):
+        if not self._healthy or any("gait_percent" in t for t in trials) or is_of_bench(
+                self._read, lambda: bench.lacking(()) or bench.unlike(())):
             return bench
         columns = frozenset.intersection(*(frozenset(t.columns) for t in every))
         if columns not in self._rigs:

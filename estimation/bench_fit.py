@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from estimation import rig_fit, simulation, simulation_fit
 from estimation.data import integrity, table
 from estimation.data.table import Table
-from estimation.path_model import PATH_MODEL, can_be_of_bench
+from estimation.path_model import PATH_MODEL, can_be_of_bench, is_of_bench
 from estimation.rig_fit import Constant
 from estimation.simulation_fit import IdentifiedBench, identified
 from estimation.transfer import trial_calibration
@@ -105,32 +105,36 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
     usable = [integrity.usable(t) for t in given]
     usable = [t if lowpass is None else table.low_passed(t, lowpass) for t in usable]
     tables, pulls = oriented([table.with_locked_knee(t) for t in usable])
-    if not can_be_of_bench(tables):
+    whole: list[IdentifiedBench] = []
+
+    def unlike() -> str:
+        whole.append(identified(tables))
+        return whole[0].unlike
+
+    if not is_of_bench(given, unlike):
         return _rig(usable, given, findings)
+    if not whole and (why := _lacking(tables) or unlike()):
+        raise InputError(f"a gait, but no rope that a tension stretches over a knee: {why}")
     first, rest = _parts(tables)
-    lacking = [t.source for t in tables if PATH_MODEL.lacking(t)]
-    early = None if lacking else identified(first)
-    unlike = f"{lacking[0]}: no rope position, or no START." if early is None else early.unlike
-    if early is None or unlike:
-        if any("gait_percent" in t for t in tables):
-            raise InputError(f"a gait, but no rope that a tension stretches over a knee: {unlike}")
-        return _rig(usable, given, findings)
-    unseen = _unseen(rest, simulation_fit.fitted(first, early))
-    if not any("knee_angle_rad" in t for t in usable) and unseen["tension_start_n"]["rms_n"] > _spread(rest):
-        # no knee, and a bench with a locked one predicts no better than a constant
-        return _rig(usable, given, findings)
-    whole = identified(tables)
-    values = simulation_fit.fitted(tables, whole)
-    constants = _constants(values, whole)
-    known = of_calibration(_calibration(tables, whole))
+    early = identified(first)
+    unseen = {} if early.unlike else _unseen(rest, simulation_fit.fitted(first, early))
+    bench = whole[0]
+    values = simulation_fit.fitted(tables, bench)
+    constants = _constants(values, bench)
+    known = of_calibration(_calibration(tables, bench))
     figures = {end: {"unseen_rms_n": row["rms_n"], "peak_n": row["peak_n"]} for end, row in unseen.items()
                if row["rms_n"] is not None}
     model = dataclasses.replace(
         known, fitted={"trials": [Path(t.source).name for t in given], "pulls": pulls, **figures},
         simulation={n: c.value for n, c in constants.items()},
         simulation_evidence={n: ScalarEvidence(c.low, c.high) for n, c in constants.items() if c.determined})
-    unstable = [whole.warning] if whole.warning else []
+    unstable = [bench.warning] if bench.warning else []
     return FittedBench(model, constants, unseen, warnings=(*(f.text for f in findings), *unstable))
+
+
+def _lacking(tables: Sequence[Table]) -> str:
+    """Return a sentence on the first trial without a column that the bench's model needs, else ""."""
+    return next((f"{t.source}: no rope position, or no START." for t in tables if PATH_MODEL.lacking(t)), "")
 
 
 def calibrated(trials: Sequence[Table]) -> Calibration:
@@ -201,11 +205,6 @@ def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:
         if parts:
             figures[name] = {"rms_n": math.sqrt(float(np.mean(np.concatenate(parts) ** 2))), "peak_n": peak}
     return figures
-
-
-def _spread(rest: Sequence[Table]) -> float:
-    """Return the RMS variation of START about the mean of each trial, N."""
-    return math.sqrt(float(np.mean([np.nanvar(t["tension_start_n"]) for t in rest])))
 
 
 def _constants(values: Values, found: IdentifiedBench) -> dict[str, Constant]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -175,12 +175,24 @@ PATH_MODEL: Final = PathModel()
 
 
 def can_be_of_bench(trials: Sequence[Table], compressed: float = 0.1) -> bool:
-    """Return whether trials can be of a rope over a knee.
+    """Return whether trials, as recorded, can be of a rope over a knee, by their columns.
 
-    A gait is always of a bench.  Other trials can be of a bench if all have rope motion, knee angle and START, and no
-    axis turns.  START has no compression beyond the share `compressed` of its largest tension.
+    A gait is always of a bench.  Other trials can be of a bench if all have rope motion and START, and no axis turns.
+    START has no compression beyond the share `compressed` of its largest tension.  A trial without a knee angle is of a
+    bench whose knee is locked if it is a bench's own experiment, or if END is not recorded either: START over END
+    alone is a cable or a seal.
     """
     if any("gait_percent" in t for t in trials):
         return True
-    return not any(t.turning or PATH_MODEL.lacking(t) for t in trials) and all(
-        t["tension_start_n"].min() > -compressed * t["tension_start_n"].max() for t in trials)
+    return all(not t.turning and {"servo_position_m", "tension_start_n"} <= set(t.columns)
+               and ("knee_angle_rad" in t or "tension_end_n" not in t or bool(t.experiment))
+               and np.nanmin(t["tension_start_n"]) > -compressed * np.nanmax(t["tension_start_n"]) for t in trials)
+
+
+def is_of_bench(trials: Sequence[Table], unlike: Callable[[], str]) -> bool:
+    """Return whether reference trials, as recorded, are of a rope over a knee, and not of a rig of another kind.
+
+    `unlike`: function that fits the bench's model and returns why it does not predict the trials ("": it does).  A
+    gait is of a bench even so.
+    """
+    return any("gait_percent" in t for t in trials) or (can_be_of_bench(trials) and not unlike())

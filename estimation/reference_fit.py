@@ -356,17 +356,16 @@ class _Fit:
         """
         free, count = len(self.free), len(self.trials)
         prior = self._stated(self.model.session_at(self.origin))[self.free] ** 2
-        deviation = np.sqrt(self._session())
-        moved, left = np.zeros(free), np.zeros(free)
-        for x, linear in zip(self.at, self.linear, strict=True):
+        deviation, left = np.sqrt(self._session()), np.zeros(free)
+        for linear in self.linear:
             design = linear.design * deviation
             inner = np.linalg.inv(np.eye(deviation.size) + (design.T * linear.weight) @ design)
-            moved += (x - self.bench)[:free] ** 2
-            left += np.diag(inner)[:free]
-        known = (count - left) * (1.0 - 1.0 / count)  # the bench is the mean of its sessions
-        scale = scale_of(float(known.sum()), float((moved / prior).sum()))
+            left += np.diag(inner)[:free] * (1.0 - 1.0 / count)
+        # about their mean, since a narrow prior may hold the bench away from it
+        moved = np.var([x[:free] for x in self.at], axis=0) * count
+        scale = scale_of(float((count - 1.0 - left).sum()), float((moved / prior).sum()))
         self.session_sd[self.free] = np.sqrt((PRIOR_SESSIONS * scale * prior + moved + left * deviation[:free] ** 2) / (
-            PRIOR_SESSIONS + count))
+            PRIOR_SESSIONS + count - 1.0))
 
     def _mean_cost(self) -> float:
         """Return the mean cost per datum of the reference trials at their modes."""

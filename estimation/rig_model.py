@@ -273,7 +273,7 @@ class RigModel(ForwardModel):
     def sessions(self, recordings: Sequence[RigRecording]) -> list[RigSession]:
         """Return recordings grouped by session; two recordings in the same condition belong to different sessions.
 
-        Two conditions are the same if load, speed and stroke differ by less than a quarter.  Recordings whose clock
+        Two conditions are the same if load and speed differ by less than a quarter.  Recordings whose clock
         runs on from one to the other are parts of one session.
         """
         made: list[list[RigRecording]] = []
@@ -288,7 +288,7 @@ class RigModel(ForwardModel):
     def _alike(self, one: RigRecording, other: RigRecording) -> bool:
         def condition(r: RigRecording) -> Array:
             load = np.abs(r.inputs[END]).mean() if self.has_end else 1.0
-            return np.array([load, np.sqrt(np.mean(r.v**2)), np.ptp(r.x)])
+            return np.array([load, np.sqrt(np.mean(r.v**2))])
         ratio = condition(one) / (condition(other) + 1e-30)
         return bool(np.all((ratio > 0.8) & (ratio < 1.25)))
 

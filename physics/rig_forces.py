@@ -104,8 +104,8 @@ def _stretched(rope, free, load, wrap, dry, travel, lead, sense):  # type: ignor
         for i in range(1, rope.size):
             f, t, w, d = free[j, i], load[j, i], sense * wrap[j, i], sense * dry[j, i]
             moved = rope[i] - rope[i - 1] + sense * lead[j] * out[j, i - 1]
-            low, high = 0.0, (moved - sense * lead[j] * (f + t * math.expm1(w * s) + d * s)) / travel[j]
-            way, was = high, s
+            low, high = 0.0, (moved - sense * lead[j] * (f + t * (math.exp(w * s) - 1.0) + d * s)) / travel[j]
+            way, was, grown = high, s, 1.0
             for _ in range(30):
                 s = (was + way) / (1.0 + abs(way))
                 grown = math.exp(w * s)
@@ -120,7 +120,7 @@ def _stretched(rope, free, load, wrap, dry, travel, lead, sense):  # type: ignor
                 way -= left / (1.0 + sense * lead[j] / travel[j] * (t * w * grown + d) * slope)
                 if (way - low) * (way - high) >= 0.0:
                     way = 0.5 * (low + high)
-            out[j, i] = f + t * math.expm1(w * s) + d * s
+            out[j, i] = f + t * (grown - 1.0) + d * s
     return out
 
 

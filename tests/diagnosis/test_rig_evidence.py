@@ -210,11 +210,11 @@ def test_a_mass_is_told_by_the_motors_voltage_as_by_its_torque() -> None:
 
 
 def test_the_shift_of_a_constant_is_said_though_nothing_is_named() -> None:
-    found = swung().diagnose([pendulum(5, 0.51)])
+    found = swung().diagnose([pendulum(5, 0.502)])
     assert found.evidence is not None
     shift = found.evidence["shifts"]["unbalance"]
     assert found.verdict == "none"
-    assert shift["low"] <= 1.02 * GRAVITY_NM <= shift["high"]
+    assert shift["low"] <= 1.004 * GRAVITY_NM <= shift["high"]
     assert shift["from"] == pytest.approx(GRAVITY_NM, rel=0.01)
 
 
