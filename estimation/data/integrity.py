@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from estimation.data.table import AGE_SUFFIX, COUNTERS, Table
+from estimation.data.table import AGE_SUFFIX, COUNTERS, TURNING, Table
 from physics.laws import Array
 from physics.parameters import ESTIMATED
 from trial.convert.lab_table import TO_SI
@@ -24,6 +25,11 @@ WIDEST: Final = {"m": (ESTIMATED["rope_zero"].high - ESTIMATED["rope_zero"].low,
 """By unit of a column: span that no bench exceeds, and the unit of `TO_SI` that was probably recorded.
 
 Spans: of the rope's zero by its bounds, and one turn of a joint."""
+
+
+POSITIONS: Final = ("servo_position_m", "knee_angle_rad")
+MEASURED: Final = (*POSITIONS, "servo_force_n", "tension_start_n", "tension_end_n")
+"""Signals of the forward models: a row without one of them counts as lost."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +75,10 @@ def stamps(given: Table, gap_steps: float = 5.0, least_rows: int = 100) -> Itera
 
 
 def presence(given: Table, most_missing: float = 0.2) -> Iterator[Finding]:
-    """Yield findings on columns that are empty, constant or incomplete; above `most_missing` the trial is refused."""
+    """Yield findings on columns that are empty, constant or incomplete.
+
+    The trial is refused if more than `most_missing` of a column is missing while the axis moves.
+    """
     for name, values in signals_in(given):
         finite = np.isfinite(values)
         if not finite.any():
@@ -78,8 +87,63 @@ def presence(given: Table, most_missing: float = 0.2) -> Iterator[Finding]:
             yield Finding(f"{given.source}: {name} is constant at {values[finite][0]:g}; it is not used.")
         elif not finite.all():
             share = 100.0 * (1.0 - finite.mean())
+            moving = float(np.mean(~finite & ~_at_rest(given, finite)))
             yield Finding(f"{given.source}: {name} lacks {share:.1f} % of its values, first at row "
-                          f"{int(np.argmin(finite)) + 2}.", share > 100.0 * most_missing)
+                          f"{int(np.argmin(finite)) + 2}.", moving > most_missing)
+
+
+def _at_rest(given: Table, recorded: NDArray[np.bool_], slow: float = 0.1) -> NDArray[np.bool_]:
+    """Return a mask of the rows between two `recorded` ones with a mean speed below `slow` of the RMS speed."""
+    position, time = given.columns.get("servo_position_m", np.full(len(given), np.nan)), given["time_s"]
+    rows = np.flatnonzero(recorded & np.isfinite(position))
+    if rows.size < 2:
+        return np.zeros(len(given), np.bool_)
+    speed = np.diff(position[rows]) / np.diff(time[rows])
+    after = np.clip(np.searchsorted(rows, np.arange(len(given))), 1, rows.size - 1)
+    return np.abs(speed[after - 1]) < slow * float(np.sqrt(np.mean(speed**2)))
+
+
+def wraps(given: Table, jump: float = 0.5, usual: float = 0.05) -> Iterator[Finding]:
+    """Yield findings on positions that wrap round.
+
+    Nine steps of ten are below the share `usual` of the span, and some are above `jump`.
+    """
+    step = np.diff(given["time_s"])
+    near = step < 2.5 * np.median(step)
+    for name, values in signals_in(given):
+        if name.partition(".")[2] not in POSITIONS and name not in POSITIONS:
+            continue
+        moved, span = np.abs(np.diff(values)), np.nanmax(values, initial=-np.inf) - np.nanmin(values, initial=np.inf)
+        far = np.flatnonzero(near & (moved > jump * span))
+        if far.size and np.nanquantile(moved, 0.9) < usual * span:
+            yield Finding(f"{given.source}: {written(given, name)} wraps round {far.size} times, first at row "
+                          f"{far[0] + 3} by {moved[far[0]]:.4g}: unwrap the column, so that it goes on.", True)
+
+
+def unsigned(given: Table, share: float = 0.1, alike: float = 1.5) -> Iterator[Finding]:
+    """Yield a finding on a drive force without sign: never negative, alike in both directions, near 0 between.
+
+    Each direction has the `share` of the rows or more, and the means of both differ by less than a factor `alike`.
+    """
+    if not {"servo_force_n", "servo_position_m"} <= set(given.columns):
+        return
+    force, speed = given["servo_force_n"], np.gradient(given["servo_position_m"], given["time_s"])
+    fast = 0.2 * np.nanquantile(np.abs(speed), 0.9)
+    ways = [force[mask & np.isfinite(force)] for mask in (speed > fast, speed < -fast)]
+    if min(way.size for way in ways) < share * force.size or np.nanmin(force) < 0.0:
+        return
+    means = sorted(float(way.mean()) for way in ways)
+    if means[1] < alike * means[0] and np.nanquantile(force, 0.01) < 0.2 * means[0]:
+        yield Finding(f"{given.source}: {written(given, 'servo_force_n')} has no sign: it is never negative, and as "
+                      "large in one direction as in the other; record it with its sign.", True)
+
+
+def written(given: Table, name: str) -> str:
+    """Return the header under which a column was recorded, which differs on a turning axis."""
+    before, dot, own = name.rpartition(".")
+    as_read = {known: column for column, (known, unit) in TURNING.items()
+               if given.turning and (unit == "V") == (given.volts and known == "servo_force_n")}
+    return before + dot + as_read.get(own, own)
 
 
 def spans(given: Table) -> Iterator[Finding]:
@@ -163,7 +227,8 @@ def _smooth_rates(given: Table) -> tuple[Array, Array, float]:
             float(np.median(np.diff(time))))
 
 
-CHECKS: Final[tuple[Callable[[Table], Iterator[Finding]], ...]] = (stamps, presence, spans, saturation, velocity)
+CHECKS: Final[tuple[Callable[[Table], Iterator[Finding]], ...]] = (
+    stamps, presence, wraps, spans, saturation, velocity, unsigned)
 
 
 def examine(given: Table) -> list[Finding]:
@@ -177,7 +242,7 @@ def examine(given: Table) -> list[Finding]:
 
 
 def usable(given: Table, motion: Sequence[str] = ()) -> Table:
-    """Return `given` without constant or empty signals.
+    """Return `given` without constant or empty signals, and without rows in which a measured signal has no value.
 
     `motion`: columns that are kept if constant and complete, such as the angle of a locked knee; the angles of an
     arm's other joints are.
@@ -188,7 +253,8 @@ def usable(given: Table, motion: Sequence[str] = ()) -> Table:
         varies = finite.size > 0 and np.ptp(finite) > 0.0
         if name in COUNTERS or varies or ((name in motion or "." in name) and finite.size == values.size):
             kept[name] = values
-    return replace(given, columns=kept)
+    known = np.all([np.isfinite(kept[n]) for n in kept if n.rpartition(".")[2] in MEASURED], axis=0)
+    return replace(given, columns={n: v[known] for n, v in kept.items()} if known.any() and not known.all() else kept)
 
 
 def between(trials: Sequence[Table], holdout: Sequence[Table], healthy: Sequence[Table]) -> list[Finding]:

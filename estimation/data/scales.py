@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from estimation.data.integrity import Finding, length_unit
+from estimation.data.integrity import Finding, length_unit, written
 from estimation.data.table import TURNING, Table
 from physics import bench_model
 from physics.parameters import PARAMETERS
@@ -68,9 +68,8 @@ def against_range(trials: Sequence[Table], healthy: Sequence[Table]) -> Iterator
         for given in trials:
             most = float(np.nanmax(np.abs(given[name]))) if usual and _has_force(given, name) else 0.0
             if most > 10.0 * usual:
-                column, unit = next(((column, unit) for column, (known, unit) in TURNING.items()
-                                     if given.turning and known == name and given.volts == (unit == "V")),
-                                    (name, "N"))
+                column = written(given, name)
+                unit = TURNING[column][1] if column in TURNING else "N"
                 yield Finding(f"{given.source}: {column} reaches {most:.3g} {unit}, in the healthy trials at most "
                               f"{usual:.3g}: a signed number read as unsigned, another unit, or another motion; mend "
                               "the column, or give healthy trials of this range.", True)
