@@ -589,7 +589,8 @@ class _Fit:
             rest = np.mean([trial.data - predicted(self.model, q, trial) - self.features[j] @ c
                             for q, c in models], axis=0)
             for name, error in self.model.errors(trial, np.asarray(rest)).items():
-                squares[name].append(float(np.mean(error**2)))
+                counted = np.isfinite(self.model.unpredicted(self.origin, trial, name) + np.zeros(error.size))
+                squares[name].append(float(np.mean(error[counted] ** 2)))
         return {name: float(np.sqrt(np.mean(each))) for name, each in squares.items()}
 
     def _others(self, j: int) -> list[tuple[Array, Array]]:

@@ -123,7 +123,7 @@ class EvidenceFinder:
             said.append(refused)
             decided = self._known(decision.unnamed(found))
             figures = replace(figures, named=None)
-        said += _unseen(found, decided)
+        said += [*figures.at_rest(), *_unseen(found, decided)]
         said += self._untold(outputs)
         at = _mode_of(found, decided)
         kept = None
@@ -308,8 +308,9 @@ def _unseen(found: Searched, decided: Decision, least: float = 0.1) -> list[str]
     beyond = found.observed.beyond
     if decided.chosen or beyond < least:
         return []
-    return [f"Knee motion or tension exceeds the range of the reference trials by {100.0 * beyond:.0f} %: only large "
-            "changes can be told. Record a reference trial (--healthy) with the motion and peak of the trial."]
+    what = "Speed or acceleration" if found.observed.model.pools_sessions else "Knee motion or tension"
+    return [f"{what} exceeds the range of the reference trials by {100.0 * beyond:.0f} %: only large changes can be "
+            "told. Record a reference trial (--healthy) with the motion and peak of the trial."]
 
 
 def _experiment(names: Sequence[str]) -> str:

@@ -95,14 +95,29 @@ class HeldOut:
         return float(np.sqrt(squares / counts))
 
     def _squares(self, names: Sequence[str], which: str) -> Array:
-        """Return the sum of squared errors of outputs and the number of data, by cycle, shape (cycles, 2)."""
-        rows = []
-        for (trial, rest), block in zip(self.observed.each(getattr(self, which)), self.blocks, strict=True):
-            errors = self.observed.model.errors(trial, rest)
-            squares = np.sum([errors[name] ** 2 for name in names], axis=0)
-            rows += [(float(squares[block == n].sum()), float(len(names) * (block == n).sum()))
+        """Return the sum of squared errors of outputs and the number of data that count, by cycle, shape (cycles, 2).
+        """
+        rows, observed = [], self.observed
+        sides = zip(observed.each(getattr(self, which)), observed.each(observed.weight), self.blocks, strict=True)
+        for (trial, rest), (_, weight), block in sides:
+            errors = observed.model.errors(trial, rest)
+            counts = np.stack([trial.part(weight, observed.outputs.index(name)) > 0.0 for name in names])
+            squares = np.stack([errors[name] ** 2 for name in names]) * counts
+            rows += [(float(squares[:, block == n].sum()), float(counts[:, block == n].sum()))
                      for n in np.unique(block)]
         return np.array(rows)
+
+    def at_rest(self) -> list[str]:
+        """Return a sentence on each output of a rig whose data at rest are in none of the figures."""
+        told = []
+        for k, name in enumerate(self.observed.outputs):
+            rests = self.observed.part(self.observed.weight, k) == 0.0
+            if self.observed.model.pools_sessions and rests.any():
+                error = float(np.sqrt(np.mean(self.observed.part(self.reference, k)[rests] ** 2)))
+                told.append(f"{name}: at rest, {100.0 * rests.mean():.0f} % of the data, the reference model "
+                            f"misses it by {error:.3g} {self.observed.model.signals[name]} RMS; friction at rest is "
+                            "anywhere up to its static value, so no figure counts these data.")
+        return told
 
     def traces(self, tables: Sequence[Table]) -> dict[str, list[Compared]]:
         """Return measured signals with their errors under each model by output, one entry per trial."""

@@ -84,6 +84,8 @@ def _by_evidence(found: Findings) -> Iterator[str]:
                f"{_places(found.unexplained, errors)}; no cause is named.")
     elif errors is not None:
         yield none_sentence(errors, found.of_rig)
+        if found.of_rig:
+            yield from _limits(found)
     if found.unexplained or found.verdict == "unexplained":
         yield "bowden discover, with the same trials, seeks a law for it."
     yield from _set(found)
@@ -157,6 +159,14 @@ def _places(unexplained: Mapping[str, Mapping[str, float]], errors: Errors | Non
     unit = "N" if errors is None else errors.unit
     return ", ".join(f"{NAMES.get(name, name)} is missed by {row['rms']:.2f} {unit}, where reference trials miss each "
                      f"other by {row['floor']:.2f} {unit}" for name, row in unexplained.items())
+
+
+def _limits(found: Findings) -> Iterator[str]:
+    shown = {name: one for name, one in (found.detection_limit or {}).items() if one["value"] is not None}
+    if shown:
+        yield "Smallest change that this trial would show: " + ", ".join(
+            f"{name} by {number(one['value'], 2)} {one['unit']}".rstrip()
+            for name, one in shown.items()) + "."
 
 
 def _set(found: Findings) -> Iterator[str]:
