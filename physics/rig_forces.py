@@ -54,10 +54,10 @@ def drive_friction(given: Constants, motion: RigMotion, load: Array, speed: floa
     travels, row = np.unique(given["drive_travel"][:, 0], return_inverse=True)
     slip = dahl_states(motion.x, travels)[row.ravel()]
     curve, drag = _sliding(given, motion, "drive_", speed)
-    a, b, size = given["drive_load_share"], given["drive_viscous_share"], given["drive_friction"]
-    dry = dry_part(a, b) * (1.0 + given["drive_asymmetry"] * slip)
+    dry, a, b = shares_of(given, "drive_")
+    dry = dry * (1.0 + given["drive_asymmetry"] * slip)
     drag = drag + given["drive_viscous_asymmetry"] * np.abs(drag)
-    return np.asarray(size * ((dry + a * load) * slip * curve + b * drag))
+    return np.asarray(given["drive_friction"] * ((dry + a * load) * slip * curve + b * drag))
 
 
 def _sliding(given: Constants, motion: RigMotion, prefix: str, speed: float) -> tuple[Array, Array]:
@@ -67,10 +67,14 @@ def _sliding(given: Constants, motion: RigMotion, prefix: str, speed: float) -> 
     return curve, motion.v / speed
 
 
-def dry_part(load_share: Array, viscous_share: Array) -> Array:
-    """Return the share of dry friction, that of load and speed taken off, where positive, rounded over 0.02."""
-    dry = 1.0 - load_share - viscous_share
-    return np.asarray(0.5 * (dry + np.sqrt(dry * dry + 4e-4)))
+def shares_of(given: Constants | Mapping[str, float], prefix: str) -> tuple[Array, Array, Array]:
+    """Return the shares of dry, load-dependent and viscous friction, whose sum is 1.
+
+    The dry share is what the other two leave, where positive, rounded over 0.02.
+    """
+    a, b = np.asarray(given[prefix + "load_share"]), np.asarray(given[prefix + "viscous_share"])
+    dry = 0.5 * (1.0 - a - b + np.sqrt((1.0 - a - b) ** 2 + 4e-4))
+    return dry / (dry + a + b), a / (dry + a + b), b / (dry + a + b)
 
 
 def start_force(given: Constants, motion: RigMotion, end: Array, sense: float, scale: RigScale, step_s: float) -> Array:
@@ -82,12 +86,12 @@ def start_force(given: Constants, motion: RigMotion, end: Array, sense: float, s
     begins `lead`·START behind the position.
     """
     curve, drag = _sliding(given, motion, "", scale.speed)
-    a, b = given["load_share"], given["viscous_share"]
+    dry, a, b = shares_of(given, "")
     size = given["friction"] * (1.0 + given["drift"] * (motion.progress - 0.5))
     ratio = given["ratio"] * (1.0 + given["ratio_slope"] * (motion.x - motion.x.mean()) / scale.stroke)
     free = ratio * end + given["offset"] + given["spring"] * (motion.x - motion.x.mean()) + sense * size * b * drag
     start = _stretched(motion.x, free, ratio * np.abs(end), np.arcsinh(size * a / scale.end) * curve,
-                       size * dry_part(a, b) * curve, given["travel"][:, 0], given["lead"][:, 0], sense)
+                       size * dry * curve, given["travel"][:, 0], given["lead"][:, 0], sense)
     return late(start, given["start_lag"], step_s)
 
 

@@ -29,6 +29,7 @@ from physics.effects.hypotheses import (
 )
 from physics.path_constants import PRESLIDING
 from physics.rig_constants import BETWEEN, LINK, WEIGHT, WEIGHT_ANGLE
+from physics.rig_forces import shares_of
 
 FAINT: Final = 0.5
 """Torque of gravity, of the friction, below which no mass hangs off the axis."""
@@ -38,14 +39,9 @@ LOAD_N: Final = 40.0
 
 def parts_of(values: Values, prefix: str, load: float, speed: float) -> tuple[float, float, float]:
     """Return dry friction, N, friction per N of load at the RMS load, and viscous friction, N·s/m."""
-    size, a, b = (values[prefix + name] for name in ("friction", "load_share", "viscous_share"))
-    return size * dry_share(a, b), size * a / load, size * b / speed
-
-
-def dry_share(a: float, b: float) -> float:
-    """Return the share of dry friction, 1 − a − b where that is positive, rounded over 0.02."""
-    dry = 1.0 - a - b
-    return 0.5 * (dry + math.sqrt(dry * dry + 4e-4))
+    size = values[prefix + "friction"]
+    dry, a, b = (float(share) for share in shares_of(values, prefix))
+    return size * dry, size * a / load, size * b / speed
 
 
 def _variant(*directions: tuple[Mapping[str, float], float]) -> Callable[[Values], tuple[Variant, ...]]:
