@@ -20,12 +20,6 @@ GRID_S: Final = round(1.0 / (2.0 * math.pi * LOWPASS_HZ), 3)
 """Step of the simulation, s: the time constant of the low-pass, in whole milliseconds."""
 START_S: Final = 0.4
 """Time left out at the start of a trial, s, since the friction states are unknown there."""
-GAP_STEPS: Final = 2.5
-"""Step of the time stamps, in usual steps, above which it is a gap: two rows in succession are lost.
-
-A spline bridges a single row; across more it would invent accelerations."""
-BRIDGED_S: Final = 0.1
-"""Longest gap, s, through which the friction states are led along a line: no reversal is as short."""
 TAUT_N: Final = 3.0
 """START tension, N, up to which the ratio END/START is not computed and is 0.8 instead."""
 SIGNALS: Final = ("tension_end_n", "tension_start_n", "servo_force_n")
@@ -65,23 +59,24 @@ class Recording:
         self.source = table.source
         self.time_s: Array = self._grid - self._grid[0]
         self.progress: Array = self.time_s / self.time_s[-1]
-        self._gaps = np.flatnonzero(np.diff(time) * self.rate > GAP_STEPS)
+        self._gaps = _gaps(time)
         self.rows = self._recorded(round(skip_s / GRID_S / self.width))
         self.outputs = tuple(outputs)
         self._signals = {name: self.sampled(name) for name in self.outputs}
         self.noise_n = {name: _noise(table[name], self) for name in self.outputs}
 
-    def _recorded(self, skip: int) -> NDArray[np.intp]:
+    def _recorded(self, skip: int, bridged_s: float = 0.1) -> NDArray[np.intp]:
         """Return the numbers of the bins without `skip` ones at the start, and without those that a gap touches.
 
-        A bin on either side of a gap is left out, too, since a low-pass spreads the edge.  After a gap of `BRIDGED_S`
-        the friction states are unknown again, as at the start.
+        A bin on either side of a gap is left out, too, since a low-pass spreads the edge.  Through a gap of up to
+        `bridged_s` the friction states follow a line, since no reversal is as short.  After a longer gap they are
+        unknown again, as at the start.
         """
         time, bin_s = self._table["time_s"] - self._table["time_s"][0], self.width * GRID_S
         kept = np.arange(self.time_s.size // self.width) >= skip
         for row in self._gaps:
             first, last = time[row], time[row + 1]
-            after = 1 + (skip if last - first > BRIDGED_S else 0)
+            after = 1 + (skip if last - first > bridged_s else 0)
             kept[max(0, int(first / bin_s) - 1):int(last / bin_s) + 1 + after] = False
         return np.flatnonzero(kept)
 
@@ -154,6 +149,15 @@ class PathRecording(Recording):
         sos = butter(2, 0.5 * LOWPASS_HZ, fs=1.0 / GRID_S, output="sos")
         start, end = (sosfiltfilt(sos, self._signals[n]) for n in ("tension_start_n", "tension_end_n"))
         return np.asarray(np.clip(np.where(start > TAUT_N, end / np.maximum(start, TAUT_N), 0.8), 0.3, 1.3))
+
+
+def _gaps(time_s: Array, steps: float = 2.5) -> NDArray[np.intp]:
+    """Return the rows before gaps: steps above `steps` usual ones, in which two rows in succession are lost.
+
+    A spline bridges a single row; across more rows it would invent accelerations.
+    """
+    taken = np.diff(time_s)
+    return np.flatnonzero(taken > steps * np.median(taken))
 
 
 def _noise(values: Array, of: Recording) -> float:

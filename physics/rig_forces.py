@@ -70,7 +70,7 @@ def _sliding(given: Constants, motion: RigMotion, prefix: str, speed: float) -> 
 def shares_of(given: Constants | Mapping[str, float], prefix: str) -> tuple[Array, Array, Array]:
     """Return the shares of dry, load-dependent and viscous friction, whose sum is 1.
 
-    The dry share is what the other two leave, where positive, rounded over 0.02.
+    The dry share is 1 less the other two, where positive, rounded over 0.02.
     """
     a, b = np.asarray(given[prefix + "load_share"]), np.asarray(given[prefix + "viscous_share"])
     dry = 0.5 * (1.0 - a - b + np.sqrt((1.0 - a - b) ** 2 + 4e-4))
