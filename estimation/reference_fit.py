@@ -351,8 +351,8 @@ class _Fit:
     def _scatter(self) -> None:
         """Estimate 1σ between sessions from the reference trials, by one step of expectation maximisation.
 
-        All of the model's values are scaled by the differences of the repeats; the prior of each σ² is inverse-gamma about
-        its scaled value, with the weight of `PRIOR_SESSIONS` sessions.
+        All of the model's values are scaled by the differences of the repeats; the prior of each σ² is inverse-gamma
+        about its scaled value, with the weight of `PRIOR_SESSIONS` sessions.
         """
         free, count = len(self.free), len(self.trials)
         prior = self._stated(self.model.session_at(self.origin))[self.free] ** 2
