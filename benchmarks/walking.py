@@ -18,7 +18,7 @@ from statistics import median
 import numpy as np
 
 from benchmarks import family_walks
-from benchmarks.frame import OUT, ROOT, markdown, number
+from benchmarks.frame import OUT, ROOT, markdown, number, put
 from benchmarks.results_page import TRUE
 from bowden.bench import buses, configuration
 from bowden.models import identification
@@ -109,25 +109,24 @@ def page(
     curves: Sequence[Curve], periods: Sequence[float], own: Sequence[Sequence[float]],
     others: Mapping[int, tuple[Sequence[str], Sequence[Sequence[float]]]],
 ) -> str:
-    """Return docs/walking.md; `own`: strides by file; `others`, by serial of the family: files' names, strides."""
+    """Return the measured part of docs/walking.md; `own`: strides by file; `others`, by serial of the family: files' names, strides."""
     header = ["file", "samples", "bridged", "left out", "did not close by (°)", "closing moved it by (°)", "stride (s)",
               *(str(i) for i in range(1, STRIDES + 1))]
     parts = [
-        "# Recorded walking, stride by stride",
-        "`python -m benchmarks.walking` writes this page: eleven recorded gait cycles, which do not close, and a "
+        "`python -m benchmarks.walking` writes this part: eleven recorded gait cycles, which do not close, and a "
         "treadmill recording with lost markers, each as `bowden trial --knee FILE --controller extended` runs it, on "
         f"the bench of serial {SERIAL}, identified on day 0 and tried on day 1. The last columns are the relative RMSE "
         "of true END, %, in each stride, which the controller learns from.",
         markdown(header, [[*described(curve, period), *map(number, rmse)]
                           for curve, period, rmse in zip(curves, periods, own, strict=True)]),
         "A gap is bridged by a straight line up to 0.1 s, or 5 % of the gait, and counted; a longer one is refused.",
-        "## On benches of the family",
+        "### On benches of the family",
         f"Every file at {PEAK_N:g} N on three benches that share no code with the controller's model "
         "([the family](family.md)), identified on day 0 and walked on day 1. RMSE holds a loose rope's drag at END, "
         "which no controller can take away.",
     ]
     for serial, (names, found) in others.items():
-        parts += [f"### Serial {serial}: {family_walks.structure('family', serial)}", markdown(
+        parts += [f"#### Serial {serial}: {family_walks.structure('family', serial)}", markdown(
             ["bench", "file", *(str(i) for i in range(1, STRIDES + 1))],
             [[f"serial {serial}", name, *map(number, rmse)] for name, rmse in zip(names, found, strict=True)]
             + [[f"serial {serial}", "median", *(number(median(stride)) for stride in zip(*found, strict=True))]])]
@@ -154,7 +153,7 @@ def main(arguments: Sequence[str]) -> None:
     others = {serial: (tuple(curve.path.name for curve, _ in both), walked(f"walking_{serial}", [
         family_row(serial, curve.path, each) for curve, each in both], options.workers)) for serial in FAMILY}
     periods = [float(each["gait.period_s"]) for each in rows]
-    (ROOT / "docs" / "walking.md").write_text(page(curves, periods, own, others), encoding="utf-8")
+    put(ROOT / "docs" / "walking.md", "walking", page(curves, periods, own, others))
 
 
 if __name__ == "__main__":

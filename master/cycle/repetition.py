@@ -156,15 +156,18 @@ class Repetition:
     """Comparison of a gait trial's cycles; `peak_n` is the peak of its desired force, `period_s` the control period.
 
     `gait_s`: gait period, s.  `with_rope` False omits rope positions: a joint that is moved by hand never repeats its
-    motion.
+    motion. `migration_m`: shift of the rope's zero that is followed from one stride to the next, m; a rope may be off
+    by that of two strides, since a stride without a phase is not learnt from.
     """
 
-    def __init__(self, peak_n: float, period_s: float, gait_s: float, *, with_rope: bool = True) -> None:
+    def __init__(self, peak_n: float, period_s: float, gait_s: float, *, with_rope: bool = True,
+                 migration_m: float = 0.0) -> None:
         self.s = np.zeros(STATES)
         self.s[[LAST_BIN, LAST_CYCLE]] = -1.0
         self.memory = np.full((2, BINS, KEPT), np.nan)
         self.g = np.array([base + share * peak_n for base, share in TOLERANCES])
         self.g[FIRST:] *= max(1.0, BRISK_S / gait_s)
+        self.g[[WOUND_FIRST, WOUND_SECOND]] += 2.0 * migration_m
         if not with_rope:
             self.g[[WOUND_FIRST, WOUND_SECOND]] = math.inf
         self._width = min(RING, max(2, round(MEAN_S / period_s)))

@@ -277,7 +277,8 @@ class Planned:
         """Have the gait that comes next held against the desired force and against its own first cycles."""
         wanted = self.experiment.reference
         exchange.guard.repetition = Repetition(wanted.peak_n, self.table.period_s, wanted.period_s,
-                                               with_rope=exchange.knee_driven)
+                                               with_rope=exchange.knee_driven,
+                                               migration_m=self.experiment.walk.migration[0])
 
     def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
         """Run in, start softly, run the gait and run out; `before` cycles came earlier."""

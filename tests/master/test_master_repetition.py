@@ -143,3 +143,10 @@ def test_without_a_phase_the_desired_force_alone_is_compared(end_n: float) -> No
             100.0 * phase / SAMPLES, 0.0, cycle=float(cycle), follows_phase=not lost))
     assert (found is None) is (end_n == 0.0)
     assert found is None or found.comparison == repetition.DESIRED
+
+
+def test_a_rope_whose_zero_is_followed_may_be_off_by_two_strides_of_it() -> None:
+    still, followed = Repetition(PEAK_N, 1e-3, 1.1).g, Repetition(PEAK_N, 1e-3, 1.1, migration_m=5e-4).g
+    apart = followed - still
+    assert apart[[repetition.WOUND_FIRST, repetition.WOUND_SECOND]] == pytest.approx(1e-3)
+    assert not apart[:repetition.WOUND_FIRST].any()
