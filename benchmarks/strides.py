@@ -2,10 +2,11 @@
 
     python -m benchmarks.strides [DIRECTORY] [--walk KIND:SERIAL:SEED:MIGRATION …] [--strides 60]
 
-Each bench is identified on day 0 and walked on day 1: the recorded strides of DIRECTORY (../shared/data/gait unless
-told) in random order, with stumbles, stops and a seat, while the rope's zero moves by MIGRATION mm.  A walk that
-stands in docs/strides.csv is not run again unless `--walk` names it; without `--walk` the page is written from the
-table, and its pictures from the recordings that are kept.
+KIND is own or family, a bench that is identified on day 0 and walked on day 1, or nominal: the own plant on day 0, by
+the packaged calibration.  A walk plays the recorded strides of DIRECTORY (../shared/data/gait unless told) in random
+order, with stumbles, stops and a seat, while the rope's zero moves by MIGRATION mm; a plug-in's plant, as those of the
+family, cannot move it.  Without `--walk` the page is written from docs/strides.csv, its pictures from the recordings
+that are kept.
 """
 
 from __future__ import annotations
@@ -86,13 +87,14 @@ def walked(kind: str, serial: int, seed: int, mm: float, strides: int, knee: Pat
     from bowden.bench import buses
     from bowden.sweep.rows import plant_model
 
-    row = bench_row(kind, serial, 1)
+    nominal = kind == "nominal"
+    row = bench_row("own" if nominal else kind, serial, 0 if nominal else 1)
     model = {**plant_model(row), **moving_zero(mm)}
     bus = buses.simulated(int(row["bench.serial"]), int(row["bench.day"]), seed, plant=str(row["bench.plant"]),
                           plant_model=model or None)
     output = OUT / f"strides-{kind}-{serial}-{seed}-{mm:g}.mcap"
     asked = bowden.Experiment(knee=knee, peak_n=PEAK_N, period_s=PERIOD_S, strides=strides, controller="extended",
-                              model=calibration(kind, serial), **INTERRUPTED)
+                              model=None if nominal else calibration(kind, serial), **INTERRUPTED)
     found = bowden.run(asked, bus=bus, output=output, overwrite=True).figures
     return {"kind": kind, "serial": serial, "seed": seed, "migration_mm": mm, "outcome": found["outcome"],
             "stop_reason": found["stop_reason"], "walk": found["walk"]}
@@ -172,8 +174,8 @@ def page(rows: Sequence[Mapping[str, Any]]) -> str:
 INTRODUCTION = f"""\
 `python -m benchmarks.strides` writes this page: eleven recorded strides of one walker in random order, each with a
 drawn period (± 8 %) and amplitude (± 10 %), among them two stumbles, two stops and one seat, while the garment
-migrates. The force follows the phase that is felt from the knee angle alone ([walking](walking.md)). Benches are
-identified on day 0 and walked on day 1 by `bowden trial --knee FILE --strides 60 --stumbles 2 --stops 2 --sits 1
+migrates. The force follows the phase that is felt from the knee angle alone ([walking](walking.md)). A bench is
+identified on day 0 and walked on day 1, or, as `nominal`, walked by the packaged calibration: `bowden trial --knee FILE --strides 60 --stumbles 2 --stops 2 --sits 1
 --controller extended --peak {PEAK_N:g} --period {PERIOD_S:g}`."""
 TRUE_PHASE = """\
 The second group of rows holds the error of the phase. The force rises by 6.3 N in a hundredth of the gait (40 N within

@@ -109,7 +109,10 @@ def page(
     curves: Sequence[Curve], periods: Sequence[float], own: Sequence[Sequence[float]],
     others: Mapping[int, tuple[Sequence[str], Sequence[Sequence[float]]]],
 ) -> str:
-    """Return the measured part of docs/walking.md; `own`: strides by file; `others`, by serial of the family: files' names, strides."""
+    """Return the measured part of docs/walking.md.
+
+    `own`: strides by file; `others`, by serial of the family: files' names, strides.
+    """
     header = ["file", "samples", "bridged", "left out", "did not close by (°)", "closing moved it by (°)", "stride (s)",
               *(str(i) for i in range(1, STRIDES + 1))]
     parts = [
