@@ -175,8 +175,8 @@ INTRODUCTION = f"""\
 `python -m benchmarks.strides` writes this page: eleven recorded strides of one walker in random order, each with a
 drawn period (± 8 %) and amplitude (± 10 %), among them two stumbles, two stops and one seat, while the garment
 migrates. The force follows the phase that is felt from the knee angle alone ([walking](walking.md)). A bench is
-identified on day 0 and walked on day 1, or, as `nominal`, walked by the packaged calibration: `bowden trial --knee FILE --strides 60 --stumbles 2 --stops 2 --sits 1
---controller extended --peak {PEAK_N:g} --period {PERIOD_S:g}`."""
+identified on day 0 and walked on day 1, or, as `nominal`, walked by the packaged calibration, by `bowden trial --knee
+FILE --strides 60 --stumbles 2 --stops 2 --sits 1 --controller extended --peak {PEAK_N:g} --period {PERIOD_S:g}`."""
 TRUE_PHASE = """\
 The second group of rows holds the error of the phase. The force rises by 6.3 N in a hundredth of the gait (40 N within
 10 %), so an error of the phase of 1 % while the force is up is about 5 % of the peak, as RMSE over the stride. With a
