@@ -157,31 +157,22 @@ def _parts(strides: Sequence[Stride], variation: Variation, samples: int, period
 
 def _stride(stride: Stride, length: int, size: float, samples: int, tripped: int = 0, begins: float = 1.0) -> _Part:
     """Return a stride of `length` samples, its amplitude about its mean times `size`, with a stumble of `tripped`."""
-    curve = _curve(stride, size)
-    at = begins * length
-
-    def own(t: Array) -> Array:
-        u = np.clip((t - at) / max(tripped, 1), 0.0, 1.0)
-        return np.where(t < at, t, np.maximum(t - tripped, at)) / length if tripped else t / length + 0.0 * u
+    curve, at = _curve(stride, size), begins * length
+    if not tripped:
+        return _Part(WALK, length, lambda t: curve(t / length), lambda t: t / length, _half(samples))
 
     def angle(t: Array) -> Array:
-        u = np.clip((t - at) / max(tripped, 1), 0.0, 1.0)
-        return _eased(curve, t, at, tripped, length) + (TRIPPED_RAD * np.sin(np.pi * u) ** 2 if tripped else 0.0)
+        u = np.clip((t - at) / tripped, 0.0, 1.0)
+        # the stride leaves and is joined again at full speed, and gains nothing between
+        halted = at + tripped * (u * (1.0 - u) * (1.0 - 2.0 * u))
+        progress = np.where(t < at, t, np.where(t < at + tripped, halted, t - tripped))
+        return curve(progress / length) + TRIPPED_RAD * np.sin(np.pi * u) ** 2
 
     def phase(t: Array) -> Array:
-        return np.where((t >= at) & (t < at + tripped), np.nan, own(t)) if tripped else own(t)
+        inside = (t >= at) & (t < at + tripped)
+        return np.where(inside, np.nan, np.where(t < at, t, t - tripped) / length)
 
-    return _Part(STUMBLE if tripped else WALK, length + tripped, angle, phase, _half(samples))
-
-
-def _eased(curve: Callable[[Array], Array], t: Array, at: float, tripped: int, length: int) -> Array:
-    """Return the angle of a stride that halts at sample `at`: it slows down, and speeds up again, smoothly."""
-    if not tripped:
-        return curve(t / length)
-    u = np.clip((t - at) / tripped, 0.0, 1.0)
-    # progress during the stumble: leaves and reaches at full speed, goes on by 0, stands between
-    inside = at + tripped * (u * (1.0 - u) * (1.0 - 2.0 * u))
-    return curve(np.where(t < at, t, np.where(t < at + tripped, inside, t - tripped)) / length)
+    return _Part(STUMBLE, length + tripped, angle, phase, _half(samples))
 
 
 def _resting(kind: str, period_s: float) -> _Part:
