@@ -181,8 +181,8 @@ TRUE_PHASE = """\
 The second group of rows holds the error of the phase. The force rises by 6.3 N in a hundredth of the gait (40 N within
 10 %), so an error of the phase of 1 % while the force is up is about 5 % of the peak, as RMSE over the stride. With a
 phase as uncertain as its own bar, the bar of 0.6 % cannot be met at the true phase. The period of a stride is drawn at
-its beginning and the force begins 10 % later; nobody can know the period by then. The bars belong to the first
-group."""
+its beginning and the force begins 10 % later; nobody can know the period by then. Read at the true
+phase, the bars are missed."""
 
 
 def strides_by_rank(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, Mapping[str, Any], int]]:
