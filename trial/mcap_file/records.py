@@ -24,7 +24,7 @@ from trial.mcap_file import container as mcap
 from trial.mcap_file.cdr import MESSAGE_HEAD
 
 CHUNK_LIMIT = 64 << 20  # one chunk, unpacked; writers in use make chunks of 64 KiB to 16 MiB
-SPAN = 16 << 20
+SPAN = 4 << 20
 """Bytes of a file that a reader from front to back leaves mapped."""
 _HEAD = struct.Struct("<BQ")
 _CHANNEL = struct.Struct("<HH")
