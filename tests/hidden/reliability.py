@@ -18,8 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import marked
+from benchmarks.frame import put
 from diagnosis.evidence.decision import NAMED_NATS, probabilities
+from physics.effects.hypotheses import HYPOTHESES
 from tests.hidden import family, truths, truths_run
 from tests.hidden.family_run import DOCS
 
@@ -37,22 +38,23 @@ class Judged(NamedTuple):
 
 def read(paths: Sequence[Path]) -> list[Judged]:
     """Return the cases of files of answers that have log Bayes factors, pairs and foreign changes left out."""
-    cases = []
+    cases = {}
     for path in paths:
         for line in path.read_text(encoding="utf-8").splitlines():
             row = json.loads(line)
-            if "separation" in row and "structure" in row and "job" not in row:
-                a = truths_run.Answer(**row)
-                hidden, known = tuple(a.hidden), [truths.EFFECTS[n] for n in a.hidden if n in truths.EFFECTS]
-                foreign = hidden[0] in truths.OUTSIDE
-                cases.append((a.structure, a.nats, known, foreign, bool(a.among)))
-            else:
+            if "answer" in row:
                 b = family.from_json(row["answer"])
-                known = [n for n in b.job.hidden if n not in family.WIRE]
-                foreign = len(known) < len(b.job.hidden) or any(n not in truths.HYPOTHESES for n in known)
-                cases.append((b.structure, b.nats, known, foreign, bool(b.rivals)))
-    return [Judged(structure, nats, truths.alike(known[0]) if known else (), named)
-            for structure, nats, known, foreign, named in cases if nats and not foreign and len(known) < 2]
+                names, foreign = b.job.hidden, any(n in family.WIRE or n not in HYPOTHESES for n in b.job.hidden)
+                case = Judged(b.structure, b.nats, truths.alike(names[0]) if names else (), bool(b.rivals))
+                key = (b.structure, names, b.job.serial, b.job.seed)
+            else:
+                a = truths_run.Answer(**{**row, "hidden": tuple(row["hidden"])})
+                names, foreign = a.effects, a.hidden[0] in truths.OUTSIDE
+                case = Judged(a.structure, a.nats, truths.alike(names[0]) if names else (), bool(a.among))
+                key = (a.structure, a.hidden, a.seed, int(a.motion))
+            if case.nats and not foreign and len(names) < 2:
+                cases[key] = case
+    return list(cases.values())
 
 
 def table(cases: Sequence[Judged]) -> str:
@@ -79,10 +81,10 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("answers", nargs="+", type=Path)
     parser.add_argument("--page", action="store_true")
     given = parser.parse_args(arguments)
-    text = table(read(given.answers))
+    text = "Printed by `python -m tests.hidden.reliability ANSWERS…`: " + table(read(given.answers))
     print(text)
     if given.page:
-        marked.put(DOCS, "reliability", text)
+        put(DOCS, "reliability", text)
 
 
 if __name__ == "__main__":
