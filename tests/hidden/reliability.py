@@ -38,23 +38,25 @@ class Judged(NamedTuple):
 
 def read(paths: Sequence[Path]) -> list[Judged]:
     """Return the cases of files of answers that have log Bayes factors, pairs and foreign changes left out."""
-    cases = {}
+    cases: dict[tuple[object, ...], Judged] = {}
     for path in paths:
         for line in path.read_text(encoding="utf-8").splitlines():
             row = json.loads(line)
             if "answer" in row:
                 b = family.from_json(row["answer"])
                 names, foreign = b.job.hidden, any(n in family.WIRE or n not in HYPOTHESES for n in b.job.hidden)
+                if foreign or len(names) > 1:
+                    continue
                 case = Judged(b.structure, b.nats, truths.alike(names[0]) if names else (), bool(b.rivals))
-                key = (b.structure, names, b.job.serial, b.job.seed)
+                cases[b.structure, names, b.job.serial, b.job.seed] = case
             else:
                 a = truths_run.Answer(**{**row, "hidden": tuple(row["hidden"])})
                 names, foreign = a.effects, a.hidden[0] in truths.OUTSIDE
+                if foreign or len(names) > 1:
+                    continue
                 case = Judged(a.structure, a.nats, truths.alike(names[0]) if names else (), bool(a.among))
-                key = (a.structure, a.hidden, a.seed, int(a.motion))
-            if case.nats and not foreign and len(names) < 2:
-                cases[key] = case
-    return list(cases.values())
+                cases[a.structure, a.hidden, a.seed, a.motion] = case
+    return [case for case in cases.values() if case.nats]
 
 
 def table(cases: Sequence[Judged]) -> str:
