@@ -118,7 +118,7 @@ class EvidenceFinder:
                             "so it removes no effect; record it in the reference condition, too.")
             decided = split or decided
         figures = _held_out(found, decided, reference, trials, read)
-        alone = len(self._tables) == 1 and not self.model.pools_sessions
+        alone = len(self._tables) == 1 and not self.model.pools_sessions and pair is None
         if refused := _refused(found, decided, alone=alone):
             said.append(refused)
             decided = self._known(decision.unnamed(found))
@@ -269,8 +269,8 @@ def _refused(found: Searched, decided: Decision, *, alone: bool) -> str:
     """Return a sentence if the best effect is not named after all; else "".
 
     With a lack of fit of the best model, the evidence must reach `DOUBTED` times the threshold, and no misfit may
-    exceed `DOUBTED` times that of a lack of fit.  So it must if the reference trial is `alone`: it shows nothing of how
-    sessions of this bench differ.  No gain on held-out cycles is required: far outside their scatter, constants of the
+    exceed `DOUBTED` times that of a lack of fit.  So it must if the reference trial is `alone`, of another motion: it
+    shows nothing of how sessions of this bench differ.  No gain on held-out cycles is required: far outside their scatter, constants of the
     session predict an effect as well as the effect itself.
     """
     if not decided.chosen:

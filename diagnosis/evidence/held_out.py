@@ -5,7 +5,8 @@ Each half of the cycles is predicted by a fit to the other half.  The gain of th
 
     reference   the models of the reference trials, averaged; nothing is fitted to the trial
     session     the session's constants and discrepancy are fitted, without an effect
-    named       the chosen effects are fitted, too
+    named       the chosen effects are fitted, too, by their equations alone: a shape that is fitted beside them would
+                lower the error without being theirs
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.compared_signals import Compared
-from diagnosis.evidence.shape_family import residual, shape_columns
 from diagnosis.findings import Figures
 from estimation.data.table import Table
 from estimation.likelihood_data import Recording
@@ -147,9 +147,7 @@ def held_out(observed: Observed, prior: Gaussian, reference: ReferenceFit, chose
         for fold in (0, 1):
             seen = replace(observed, weight=np.where(half == fold, 1e-9, observed.weight))
             at = mode(seen, prior, variants, begun(start, None, kept=variants))
-            columns = shape_columns(seen, prior, at, variants)
-            told = residual(at, columns, observed.model.shape_shares) if columns.shape[1] else rest(observed, at)
-            left = np.where(half == fold, told, left)
+            left = np.where(half == fold, rest(observed, at), left)
         return left
 
     return HeldOut(observed, reference.missed(observed), predicted([], null),
