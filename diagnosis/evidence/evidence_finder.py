@@ -270,8 +270,8 @@ def _refused(found: Searched, decided: Decision, *, alone: bool) -> str:
 
     With a lack of fit of the best model, the evidence must reach `DOUBTED` times the threshold, and no misfit may
     exceed `DOUBTED` times that of a lack of fit.  So it must if the reference trial is `alone`, of another motion: it
-    shows nothing of how sessions of this bench differ.  No gain on held-out cycles is required: far outside their scatter, constants of the
-    session predict an effect as well as the effect itself.
+    shows nothing of how sessions of this bench differ.  No gain on held-out cycles is required: far outside their
+    scatter, constants of the session predict an effect as well as the effect itself.
     """
     if not decided.chosen:
         return ""
