@@ -13,6 +13,7 @@ import typer
 import typer.main
 from typer.core import TyperCommand, TyperGroup
 
+from bowden.cli.option_groups import grouped
 from parameters import InputError
 
 Registered = TypeVar("Registered", bound=Callable[..., Any])
@@ -81,8 +82,14 @@ class CommandGroup(typer.Typer):
         super().__init__(**{"cls": Group, **given})
 
     def command(self, name: str | None = None, **given: Any) -> Callable[[Registered], Registered]:
-        """Register a command."""
-        return super().command(name, **{"cls": ShortHelpCommand, **given})
+        """Register a command; its option groups are spelt out, and an `Answer` that it returns is printed."""
+        register = super().command(name, **{"cls": ShortHelpCommand, **given})
+
+        def registered(function: Registered) -> Registered:
+            register(grouped(function) if function.__annotations__.get("return") == "Answer" else function)
+            return function
+
+        return registered
 
 
 def found(application: typer.Typer, words: Sequence[str]) -> tuple[Any, bool]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 from bowden.cli import options
+from bowden.cli.terminal import Answer, answered
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -181,9 +182,13 @@ def _option(text: str) -> tuple[str, Any]:
     return key, {"true": True, "false": False}.get(value.lower(), value)
 
 
-def grouped(command: Callable[..., int]) -> Callable[..., int]:
-    """Replace each option group in a command's signature by the group's options."""
+def grouped(command: Callable[..., Any]) -> Callable[..., int]:
+    """Replace each option group in a command's signature by the group's options.
+
+    A command that returns an `Answer` has the option --json besides, and the answer is printed.
+    """
     hints = get_type_hints(command, include_extras=True)
+    answers = hints.pop("return", int) is Answer
     groups = {name: kind for name, kind in hints.items() if hasattr(kind, "_field_defaults")}
     spelt: list[inspect.Parameter] = []
     for parameter in inspect.signature(command).parameters.values():
@@ -191,11 +196,14 @@ def grouped(command: Callable[..., int]) -> Callable[..., int]:
             spelt += _options(groups[parameter.name])
         else:
             spelt.append(parameter.replace(annotation=hints[parameter.name], kind=inspect.Parameter.KEYWORD_ONLY))
+    if answers:
+        spelt.append(inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=options.Json))
 
     @wraps(command)
     def gathered(**given: Any) -> int:
+        json = given.pop("json") if answers else False
         made = {name: kind(**{field: given.pop(field) for field in kind._fields}) for name, kind in groups.items()}
-        return command(**given, **made)
+        return answered(lambda: command(**given, **made), json=json) if answers else command(**given, **made)
 
     _spell(gathered, {parameter.name: parameter.annotation for parameter in spelt}, inspect.Signature(spelt))
     return gathered

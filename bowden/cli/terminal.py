@@ -7,7 +7,43 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any
+from contextvars import ContextVar
+from typing import Any, NamedTuple
+
+
+class Answer(NamedTuple):
+    """Result of a command: one JSON object, the lines that show it in words, and the exit status.
+
+    `words` is text, lines, or a function that prints them (tables).
+    """
+
+    result: Mapping[str, Any]
+    words: str | Sequence[str] | Callable[[], None]
+    status: int = 0
+
+
+_QUIET: ContextVar[bool] = ContextVar("_QUIET", default=False)
+
+
+def answered(command: Callable[[], Answer], *, json: bool) -> int:
+    """Run a command, print its answer as JSON or in words, and return the exit status; with `json` no progress."""
+    before = _QUIET.set(json)
+    try:
+        answer = command()
+    finally:
+        _QUIET.reset(before)
+    if json:
+        emit(answer.result)
+    elif callable(answer.words):
+        answer.words()
+    elif answer.words:
+        print(answer.words if isinstance(answer.words, str) else "\n".join(answer.words))
+    return answer.status
+
+
+def quiet() -> bool:
+    """Return whether the command prints one JSON object and nothing else."""
+    return _QUIET.get()
 
 
 def emit(result: Mapping[str, Any]) -> None:
@@ -75,7 +111,7 @@ class Terminal:
 def progress(text: str, *, shown: bool = True) -> Iterator[Callable[[float], None]]:
     """Show a bar on stderr and yield a function of the share done, 0…1; silent unless `shown` and stderr is a
     terminal."""
-    if not (shown and sys.stderr.isatty()):
+    if _QUIET.get() or not (shown and sys.stderr.isatty()):
         yield lambda share: None
         return
     from rich.console import Console
@@ -90,7 +126,7 @@ def progress(text: str, *, shown: bool = True) -> Iterator[Callable[[float], Non
 @contextmanager
 def waiting(text: str, *, shown: bool = True) -> Iterator[None]:
     """Show a spinner with the elapsed time on stderr; silent unless `shown` and stderr is a terminal."""
-    if not (shown and sys.stderr.isatty()):
+    if _QUIET.get() or not (shown and sys.stderr.isatty()):
         yield
         return
     from rich.console import Console

@@ -7,18 +7,18 @@ from typing import Annotated
 
 import typer
 
-from bowden.cli import options, terminal
+from bowden.cli import options
 from bowden.cli.bench.node import Eds, Force, bitrate_of, node, refuse_other_master
-from bowden.cli.option_groups import Bus, grouped
+from bowden.cli.option_groups import Bus
+from bowden.cli.terminal import Answer
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="bus.yml of ros2_canopen.", show_default=False)]
 
 
 @node.command()
-@grouped
 def apply(
-    file: File, reached: Bus, force: Force = False, config: options.Config = None, json: options.Json = False,
-) -> int:
+    file: File, reached: Bus, force: Force = False, config: options.Config = None,
+) -> Answer:
     """Write the SDO list, heartbeats and PDOs of a bus.yml into its nodes.
 
     Example: bowden node export -o bus.yml && bowden node apply bus.yml
@@ -31,21 +31,17 @@ def apply(
     with linked(reached.configured(config), bitrate_of(reached, config)) as link:
         refuse_other_master(link, force)
         done = {one.name: bus_setup.apply(link, one, file.parent) for one in devices}
-    if json:
-        terminal.emit({"file": str(file), "devices": [
-            {"name": one.name, "node": one.node_id, "done": done[one.name]} for one in devices]})
-    else:
-        for one in devices:
-            print(f"{one.name}, node {one.node_id}: {'; '.join(done[one.name]) or 'nothing to write'}.")
-    return 0
+    return Answer(
+        {"file": str(file), "devices": [
+            {"name": one.name, "node": one.node_id, "done": done[one.name]} for one in devices]},
+        [f"{one.name}, node {one.node_id}: {'; '.join(done[one.name]) or 'nothing to write'}." for one in devices])
 
 
 @node.command()
-@grouped
 def export(
     output: options.Output, reached: Bus, eds: Eds = None, config: options.Config = None,
-    overwrite: options.Overwrite = False, json: options.Json = False,
-) -> int:
+    overwrite: options.Overwrite = False,
+) -> Answer:
     """Write the nodes of a bus, with their PDOs as they are set, as a bus.yml of ros2_canopen.
 
     Example: bowden node export -o bus.yml
@@ -69,8 +65,5 @@ def export(
     bus_yml.write(output, bus_yml.of_devices(devices, {
         "node_id": 127, "driver": "ros2_canopen::MasterDriver", "package": "canopen_master_driver",
         "baudrate": rate // 1000}), overwrite=overwrite)
-    if json:
-        terminal.emit({"file": str(output), "nodes": [one.node_id for one in devices]})
-    else:
-        print(f"{output}: {len(devices)} nodes.")
-    return 0 if devices else 1
+    return Answer({"file": str(output), "nodes": [one.node_id for one in devices]},
+                  f"{output}: {len(devices)} nodes.", 0 if devices else 1)

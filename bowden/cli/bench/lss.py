@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bowden.cli import options, terminal
+from bowden.cli import options
 from bowden.cli.app import app
 from bowden.cli.bench.node import Force, refuse_other_master
 from bowden.cli.command import CommandGroup
-from bowden.cli.option_groups import Bus, grouped
+from bowden.cli.option_groups import Bus
+from bowden.cli.terminal import Answer
 
 if TYPE_CHECKING:
     from eds.cia305 import LssAddress
@@ -30,32 +31,24 @@ Wait = Annotated[int, typer.Option("--timeout", metavar="MS", min=1, max=10_000,
 
 
 @lss.command()
-@grouped
-def scan(reached: Bus, timeout: Wait = 100, config: options.Config = None, json: options.Json = False) -> int:
+def scan(reached: Bus, timeout: Wait = 100, config: options.Config = None) -> Answer:
     """Find the devices that have no node id, by fastscan.
 
     Example: bowden lss scan
     """
     with _master(reached, config, timeout) as master:
         found = master.scan()
-    if json:
-        terminal.emit({"unconfigured": [_identity(one) for one in found], "note": master.scan_note})
-    else:
-        for one in found:
-            print(f"{one}  " + " ".join(f"{name} 0x{number:08X}" for name, number in one._asdict().items()))
-        print(f"{len(found)} unconfigured devices.")
-        if master.scan_note is not None:
-            print(master.scan_note)
-    return 0
+    return Answer({"unconfigured": [_identity(address) for address in found], "note": master.scan_note}, [
+        *(f"{address}  " + " ".join(f"{name} 0x{number:08X}" for name, number in address._asdict().items())
+          for address in found), f"{len(found)} unconfigured devices.", *filter(None, (master.scan_note,))])
 
 
 @lss.command()
-@grouped
 def assign(
     node_id: Annotated[int, typer.Argument(metavar="NEWID", help="Node id 1 … 127.", show_default=False)],
     reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False, force: Force = False,
-    timeout: Wait = 100, config: options.Config = None, json: options.Json = False,
-) -> int:
+    timeout: Wait = 100, config: options.Config = None,
+) -> Answer:
     """Give a device a node id: the only unconfigured one, or the one of --node or --identity.
 
     Example: bowden lss assign 9 --node 2
@@ -76,16 +69,13 @@ def assign(
             master.link.beats.pop(node_id, None)
             nmt(master.link, before, "reset-comm", shown_by=node_id)
             booted = node_id in master.link.beats
-    if json:
-        terminal.emit({"node": node_id, "before": before, **_identity(address), "stored": store, "booted": booted})
-    else:
-        print(f"{address} is node {node_id}" + (", stored" if store else "") + ("; booted." if booted else
-              "; no boot-up came."))
-    return 0 if booted else 1
+    return Answer(
+        {"node": node_id, "before": before, **_identity(address), "stored": store, "booted": booted},
+        f"{address} is node {node_id}{', stored' * store}; {'booted' if booted else 'no boot-up came'}.",
+        0 if booted else 1)
 
 
 @lss.command()
-@grouped
 def bitrate(
     rate: Annotated[int, typer.Argument(metavar="RATE", help="bit/s: 1000000, 800000, 500000, 250000, 125000, …",
                                         show_default=False)],
@@ -93,8 +83,8 @@ def bitrate(
     activate: Annotated[int | None, typer.Option(
         "--activate", metavar="MS", min=1, max=65_535,
         help="Switch now: MS until the device switches, and MS in which it is silent.")] = None,
-    force: Force = False, timeout: Wait = 100, config: options.Config = None, json: options.Json = False,
-) -> int:
+    force: Force = False, timeout: Wait = 100, config: options.Config = None,
+) -> Answer:
     """Give a device a bit rate, in force at its next power-on, or now by --activate.
 
     Example: bowden lss bitrate 500000 --node 2
@@ -106,20 +96,17 @@ def bitrate(
             master.store()
         if activate is not None:
             master.activate(activate)
-    if json:
-        terminal.emit({**_identity(address), "bitrate": rate, "stored": store, "activated": activate is not None})
-    else:
-        print(f"{address}: {rate} bit/s" + (", stored" if store else "") + (
+    return Answer(
+        {**_identity(address), "bitrate": rate, "stored": store, "activated": activate is not None},
+        f"{address}: {rate} bit/s{', stored' * store}" + (
             f", in force in {activate} ms." if activate is not None else "; in force once it is activated."))
-    return 0
 
 
 @lss.command()
-@grouped
 def store(
     reached: Bus, node: Chosen = None, identity: Identity = None, force: Force = False, timeout: Wait = 100,
-    config: options.Config = None, json: options.Json = False,
-) -> int:
+    config: options.Config = None,
+) -> Answer:
     """Let a device keep its node id and bit rate over a power cycle.
 
     Example: bowden lss store --node 2
@@ -127,11 +114,7 @@ def store(
     with _master(reached, config, timeout, acts=not force) as master:
         address = _choose(master, node, identity)
         master.store()
-    if json:
-        terminal.emit({**_identity(address), "stored": True})
-    else:
-        print(f"{address}: node id and bit rate stored.")
-    return 0
+    return Answer({**_identity(address), "stored": True}, f"{address}: node id and bit rate stored.")
 
 
 @contextmanager

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bowden.cli import options, terminal
+from bowden.cli import options
 from bowden.cli.app import app
 from bowden.cli.command import CommandGroup
-from bowden.cli.option_groups import Bus, grouped
+from bowden.cli.option_groups import Bus
+from bowden.cli.terminal import Answer
 
 if TYPE_CHECKING:
     from eds.dictionary import Dictionary
@@ -39,8 +40,7 @@ Type = Annotated[str | None, typer.Option("--type", metavar="TYPE", help="u8 …
 
 
 @node.command()
-@grouped
-def scan(reached: Bus, eds: Eds = None, config: options.Config = None, json: options.Json = False) -> int:
+def scan(reached: Bus, eds: Eds = None, config: options.Config = None) -> Answer:
     """Find the nodes of a bus: heartbeats, identities, and names of EDS files that fit.
 
     Example: bowden node scan
@@ -52,44 +52,35 @@ def scan(reached: Bus, eds: Eds = None, config: options.Config = None, json: opt
     files = [packaged(name) for name in PACKAGED] if eds is None else scanning.files_of(eds)
     with linked(reached.configured(config), bitrate_of(reached, config)) as link:
         found = scanning.scan(link, files)
-    if json:
-        terminal.emit({"nodes": [{"node": one.node_id, "state": one.state, "identity": one.identity, "name": one.name,
-                                  "eds": None if one.dictionary is None else one.dictionary.path} for one in found]})
-    else:
-        for one in found:
-            identity = "no SDO answer" if one.identity is None else " ".join(
-                f"{name} 0x{value:08X}" for name, value in one.identity.items())
-            print(f"{one.node_id:3}  {one.state or 'no heartbeat':16}  {identity}  {one.name}".rstrip())
-        print(f"{len(found)} nodes.")
-    return 0 if found else 1
+    identities = ["no SDO answer" if one.identity is None else " ".join(
+        f"{name} 0x{value:08X}" for name, value in one.identity.items()) for one in found]
+    return Answer({"nodes": [
+        {"node": one.node_id, "state": one.state, "identity": one.identity, "name": one.name,
+         "eds": None if one.dictionary is None else one.dictionary.path} for one in found]},
+        [*(f"{one.node_id:3}  {one.state or 'no heartbeat':16}  {identity}  {one.name}".rstrip()
+           for one, identity in zip(found, identities, strict=True)), f"{len(found)} nodes."], 0 if found else 1)
 
 
 @node.command()
-@grouped
-def info(name: Name, reached: Bus, eds: Eds = None, config: options.Config = None, json: options.Json = False) -> int:
+def info(name: Name, reached: Bus, eds: Eds = None, config: options.Config = None) -> Answer:
     """Show a node's identity, versions, NMT state and drive state.
 
     Example: bowden node info 1
     """
     with _node(name, reached, config, eds) as one:
-        told = one.info()
-    if json:
-        terminal.emit({"node": one.node_id, **told})
-    else:
-        for key, value in told.items():
-            shown = f"0x{value:08X}" if key in ("device_type", "vendor", "product", "revision", "serial") else value
-            print(f"{key.replace('_', ' '):13} {_listed(shown)}")
-    return 0
+        about = one.info()
+    hexadecimal = ("device_type", "vendor", "product", "revision", "serial")
+    return Answer({"node": one.node_id, **about}, [
+        f"{key.replace('_', ' '):13} {f'0x{value:08X}' if key in hexadecimal else _listed(value)}"
+        for key, value in about.items()])
 
 
 @node.command()
-@grouped
 def read(
     name: Name, place: ObjectOf, reached: Bus, eds: Eds = None, type: Type = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="File for the bytes.")] = None,
     overwrite: options.Overwrite = False, block: Block = False, config: options.Config = None,
-    json: options.Json = False,
-) -> int:
+) -> Answer:
     """Read one object, typed by the EDS or by --type.
 
     Example: bowden node read 1 1018:01
@@ -107,26 +98,21 @@ def read(
     value = object_text.value_of(kind, data)
     if output is not None:
         output.write_bytes(data)
-    if json:
-        terminal.emit({"node": one.node_id, "object": object_text.shown_key(at), "name": one.name(at),
-                       "type": None if kind is None else kind.name, "value": object_text.plain(value),
-                       "si": value * scaled[0] if scaled and isinstance(value, int | float) else None,
-                       "unit": scaled[1] if scaled else None, "bytes": len(data)})
-    else:
-        shown = f"{len(data)} bytes in {output}" if output is not None else object_text.shown(value, kind, scaled, at)
-        print(" ".join(filter(None, (object_text.shown_key(at), one.name(at)))) + f" = {shown}")
-    return 0
+    shown = f"{len(data)} bytes in {output}" if output is not None else object_text.shown(value, kind, scaled, at)
+    return Answer({
+        "node": one.node_id, "object": object_text.shown_key(at), "name": one.name(at),
+        "type": None if kind is None else kind.name, "value": object_text.plain(value),
+        "si": value * scaled[0] if scaled and isinstance(value, int | float) else None,
+        "unit": scaled[1] if scaled else None, "bytes": len(data)}, f"{_object(one, at)} = {shown}")
 
 
 @node.command()
-@grouped
 def write(
     name: Name, place: ObjectOf, reached: Bus,
     value: Annotated[str | None, typer.Argument(metavar="VALUE", help="Decimal, 0x…, text or hex bytes.")] = None,
     given: Annotated[Path | None, typer.Option("--input", metavar="FILE", help="File with the bytes.")] = None,
     eds: Eds = None, type: Type = None, block: Block = False, force: Force = False, config: options.Config = None,
-    json: options.Json = False,
-) -> int:
+) -> Answer:
     """Write one object, typed by the EDS or by --type, and read it back.
 
     Example: bowden node write 1 1017 500
@@ -152,22 +138,25 @@ def write(
         except SdoError:
             now = None
         scaled = one.units.get(at)
-    if json:
-        terminal.emit({"node": one.node_id, "object": object_text.shown_key(at), "name": one.name(at),
-                       "written": len(data), "value": object_text.plain(now)})
-    else:
-        print(" ".join(filter(None, (object_text.shown_key(at), one.name(at))))
-              + (f": {len(data)} bytes written." if now is None else f" = {object_text.shown(now, kind, scaled, at)}"))
-    return 0
+    return Answer(
+        {"node": one.node_id, "object": object_text.shown_key(at), "name": one.name(at), "written": len(data),
+         "value": object_text.plain(now)}, _object(one, at) + (
+            f": {len(data)} bytes written." if now is None else f" = {object_text.shown(now, kind, scaled, at)}"))
+
+
+def _object(one: NodeAccess, at: int) -> str:
+    """Return index and name of an object."""
+    from master.node_access import object_text
+
+    return " ".join(filter(None, (object_text.shown_key(at), one.name(at))))
 
 
 @node.command()
-@grouped
 def objects(
     name: Name, reached: Bus, eds: Eds = None,
     changed: Annotated[bool, typer.Option("--changed", help="Only values that are not the EDS's default.")] = False,
-    config: options.Config = None, json: options.Json = False,
-) -> int:
+    config: options.Config = None,
+) -> Answer:
     """List a node's objects with their live values; * marks one that is not the EDS's default.
 
     Example: bowden node objects 3 --changed
@@ -177,24 +166,19 @@ def objects(
     with _node(name, reached, config, eds) as one:
         found = [each for each in one.objects() if each.changed or not changed]
         units = one.units
-    if json:
-        terminal.emit({"node": one.node_id, "objects": [
-            {"object": object_text.shown_key(each.entry.key), "name": one.name(each.entry.key),
-             "access": each.entry.access, "type": each.entry.data_type.name, "value": object_text.plain(each.value),
-             "default": object_text.plain(each.entry.default), "changed": each.changed,
-             "refused": each.refusal or None} for each in found]})
-        return 0
-    for each in found:
-        entry = each.entry
-        shown = each.refusal or object_text.shown(each.value, entry.data_type, units.get(entry.key), entry.key)
-        print(f"{'*' if each.changed else ' '} {object_text.shown_key(entry.key)} {entry.access:3} "
-              f"{one.name(entry.key)} = {shown}")
-    print(f"{len(found)} objects, {sum(bool(each.changed) for each in found)} not at their default.")
-    return 0
+    shown = [each.refusal or object_text.shown(
+        each.value, each.entry.data_type, units.get(each.entry.key), each.entry.key) for each in found]
+    return Answer({"node": one.node_id, "objects": [
+        {"object": object_text.shown_key(each.entry.key), "name": one.name(each.entry.key),
+         "access": each.entry.access, "type": each.entry.data_type.name, "value": object_text.plain(each.value),
+         "default": object_text.plain(each.entry.default), "changed": each.changed,
+         "refused": each.refusal or None} for each in found]}, [
+        *(f"{'*' if each.changed else ' '} {object_text.shown_key(each.entry.key)} {each.entry.access:3} "
+          f"{one.name(each.entry.key)} = {text}" for each, text in zip(found, shown, strict=True)),
+        f"{len(found)} objects, {sum(bool(each.changed) for each in found)} not at their default."])
 
 
 @node.command()
-@grouped
 def pdo(
     name: Name, reached: Bus, eds: Eds = None,
     mapped: Annotated[list[str] | None, typer.Option("--map", metavar="PDO=OBJECTS",
@@ -202,8 +186,8 @@ def pdo(
     given: Annotated[list[str] | None, typer.Option(
         "--set", metavar="PDO.KEY=N",
         help="cob_id, type, inhibit (100 µs) or event_timer (ms): tpdo1.type=1.")] = None,
-    force: Force = False, config: options.Config = None, json: options.Json = False,
-) -> int:
+    force: Force = False, config: options.Config = None,
+) -> Answer:
     """Show a node's PDOs with names and values, or change them in the order of CiA 301.
 
     Example: bowden node pdo 2 --map tpdo1=6041,6064 --set tpdo1.type=1
@@ -218,20 +202,15 @@ def pdo(
         states = one.pdos()
         values = {at: _read_or_none(one, at) for state in states for at in (word >> 8 for word in state.mapping)}
         units = one.units
-    if json:
-        terminal.emit({"node": one.node_id, "pdos": [
-            {"pdo": state.name, "valid": state.valid, **state.parameters, "mapping": [
-                {"object": object_text.shown_key(word >> 8), "name": one.name(word >> 8), "bits": word & 0xFF,
-                 "value": object_text.plain(values[word >> 8])} for word in state.mapping]} for state in states]})
-        return 0
-    for state in states:
-        print(_pdo_line(state))
-        for word in state.mapping:
-            at = word >> 8
-            shown = object_text.shown(values[at], one.kind(at), units.get(at), at)
-            print(f"    {object_text.shown_key(at)} {one.name(at)}, {word & 0xFF} bits = {shown}")
-    print(f"{len(states)} PDOs, {sum(state.valid for state in states)} in use.")
-    return 0
+    lines = [line for state in states for line in (_pdo_line(state), *(
+        f"    {object_text.shown_key(at)} {one.name(at)}, {word & 0xFF} bits = "
+        f"{object_text.shown(values[at], one.kind(at), units.get(at), at)}"
+        for word in state.mapping for at in (word >> 8,)))]
+    return Answer({"node": one.node_id, "pdos": [
+        {"pdo": state.name, "valid": state.valid, **state.parameters, "mapping": [
+            {"object": object_text.shown_key(word >> 8), "name": one.name(word >> 8), "bits": word & 0xFF,
+             "value": object_text.plain(values[word >> 8])} for word in state.mapping]} for state in states]},
+        [*lines, f"{len(states)} PDOs, {sum(state.valid for state in states)} in use."])
 
 
 def _pdo_line(state: PdoState) -> str:
@@ -299,12 +278,11 @@ def _settings(given: list[str]) -> dict[int, dict[str, int]]:
 
 
 @node.command()
-@grouped
 def errors(
     name: Name, reached: Bus, eds: Eds = None,
     clear: Annotated[bool, typer.Option("--clear", help="Clear the history 0x1003.")] = False,
-    force: Force = False, config: options.Config = None, json: options.Json = False,
-) -> int:
+    force: Force = False, config: options.Config = None,
+) -> Answer:
     """Show a node's error register and error history in words; exit status 1 where an error is present.
 
     Example: bowden node errors 1 || true
@@ -313,25 +291,20 @@ def errors(
         if clear:
             one.clear_errors()
         bits, history = one.errors()
-    if json:
-        terminal.emit({"node": one.node_id, "register": bits, "history": [
-            {"code": f"{each.code:04X}", "text": each.text, "manufacturer": each.more} for each in history]})
-    else:
-        print(f"1001 error register: {', '.join(bits) or 'no error'}")
-        for each in history:
-            print(f"{each.code:04X} {each.text}" + (f" (manufacturer's word {each.more:04X})" if each.more else ""))
-        print(f"{len(history)} errors in the history.")
-    return 1 if bits else 0
+    return Answer({"node": one.node_id, "register": bits, "history": [
+        {"code": f"{each.code:04X}", "text": each.text, "manufacturer": each.more} for each in history]}, [
+        f"1001 error register: {', '.join(bits) or 'no error'}",
+        *(f"{each.code:04X} {each.text}" + (f" (manufacturer's word {each.more:04X})" if each.more else "")
+          for each in history), f"{len(history)} errors in the history."], 1 if bits else 0)
 
 
 @node.command()
-@grouped
 def nmt(
     name: Annotated[str, typer.Argument(metavar="NODE", help="Node id, name, or all.", show_default=False)],
     command: Annotated[str, typer.Argument(metavar="COMMAND", help="start, stop, preop, reset or reset-comm.",
                                            show_default=False)],
-    reached: Bus, force: Force = False, config: options.Config = None, json: options.Json = False,
-) -> int:
+    reached: Bus, force: Force = False, config: options.Config = None,
+) -> Answer:
     """Command the NMT state of a node or of all nodes; exit status 1 if a node does not show the new state.
 
     Example: bowden node nmt 3 start
@@ -347,23 +320,19 @@ def nmt(
     with linked(reached.configured(config), bitrate_of(reached, config)) as link:
         refuse_other_master(link, force)
         answer = access.nmt(link, node_id, command)
-    if json:
-        terminal.emit({"node": name, "command": command, "state": answer.states.get(node_id), "obeyed": answer.obeyed,
-                       "states": {str(one): state for one, state in answer.states.items()}})
-    else:
-        states = list(answer.states.values()) if node_id else [f"{one} {state}" for one, state in answer.states.items()]
-        print(f"{name}: {command} sent; {', '.join(states) or 'no node shows its state'}.")
-    return 0 if answer.obeyed else 1
+    states = list(answer.states.values()) if node_id else [f"{one} {state}" for one, state in answer.states.items()]
+    return Answer(
+        {"node": name, "command": command, "state": answer.states.get(node_id), "obeyed": answer.obeyed,
+         "states": {str(one): state for one, state in answer.states.items()}},
+        f"{name}: {command} sent; {', '.join(states) or 'no node shows its state'}.", 0 if answer.obeyed else 1)
 
 
 @node.command()
-@grouped
 def emcy(
     code: Annotated[str, typer.Argument(metavar="CODE", help="Error code, hexadecimal.", show_default=False)],
     eds: Eds = None,
     profile: Annotated[int | None, typer.Option(metavar="NUMBER", help="402 or 404: profile of the device.")] = None,
-    json: options.Json = False,
-) -> int:
+) -> Answer:
     """Show an EMCY error code in words: the EDS's own, CiA 301, 402 and 404.
 
     Example: bowden node emcy 8611 --profile 402
@@ -379,15 +348,10 @@ def emcy(
     if not 0 <= number <= 0xFFFF:
         raise InputError(f"emcy {code}: is no error code; give four hexadecimal digits such as 8611.")
     text = emcy_text(number, profile, {} if eds is None else read_eds(eds).emergencies)
-    if json:
-        terminal.emit({"code": f"{number:04X}", "text": text})
-    else:
-        print(f"{number:04X} {text}")
-    return 0
+    return Answer({"code": f"{number:04X}", "text": text}, f"{number:04X} {text}")
 
 
 @node.command()
-@grouped
 def backup(
     name: Name,
     output: options.Output,
@@ -396,8 +360,7 @@ def backup(
     concise: Annotated[Path | None, typer.Option(metavar="FILE", help="Write them as concise DCF (1F22), too.")] = None,
     config: options.Config = None,
     overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+) -> Answer:
     """Read a node's parameters and PDO settings and write them as DCF.
 
     Example: bowden node backup servo -o servo.dcf
@@ -416,18 +379,13 @@ def backup(
     write_whole(output, dcf.as_dcf(entry.dictionary, entry.node_id, values), overwrite=True)
     if concise is not None:
         write_whole(concise, dcf.concise(read_dcf(output)), overwrite=True)
-    if json:
-        terminal.emit({"node": name, "file": str(output), "parameters": len(values), "unread": unread})
-    else:
-        print(f"{output}: {len(values)} parameters of {name}; {len(unread)} could not be read.")
-        for one in unread:
-            print(f"  not read: {one}")
-    return 1 if unread else 0
+    return Answer({"node": name, "file": str(output), "parameters": len(values), "unread": unread}, [
+        f"{output}: {len(values)} parameters of {name}; {len(unread)} could not be read.",
+        *(f"  not read: {place}" for place in unread)], 1 if unread else 0)
 
 
 @node.command()
-@grouped
-def compare(name: Name, file: File, reached: Bus, config: options.Config = None, json: options.Json = False) -> int:
+def compare(name: Name, file: File, reached: Bus, config: options.Config = None) -> Answer:
     """List the parameters of a node that differ from a DCF; exit status 1 where any does.
 
     Example: bowden node backup servo -o servo.dcf && bowden node compare servo servo.dcf
@@ -435,16 +393,13 @@ def compare(name: Name, file: File, reached: Bus, config: options.Config = None,
     from master.node_access import dcf
 
     found = _against_a_dcf(name, file, reached, config, dcf.compare)
-    _tell(name, file, found, "differ", json=json)
-    return 1 if found else 0
+    return _differences(name, file, found, "differ", 1 if found else 0)
 
 
 @node.command()
-@grouped
 def restore(
     name: Name, file: File, reached: Bus, force: Force = False, config: options.Config = None,
-    json: options.Json = False,
-) -> int:
+) -> Answer:
     """Write what differs from a DCF into the node and store it there.
 
     Example: bowden node backup servo -o servo.dcf && bowden node restore servo servo.dcf
@@ -452,8 +407,7 @@ def restore(
     from master.node_access import dcf
 
     found = _against_a_dcf(name, file, reached, config, dcf.restore, force=force, acts=True)
-    _tell(name, file, found, "restored", json=json)
-    return 0
+    return _differences(name, file, found, "restored")
 
 
 def _against_a_dcf(name: str, file: Path, reached: Bus, config: Path | None, act: Act,
@@ -537,15 +491,12 @@ def _listed(value: object) -> str:
     return (", ".join(map(str, value)) or "none") if isinstance(value, list) else str(value)
 
 
-def _tell(name: str, file: Path, found: list[ParameterDifference], what: str, *, json: bool) -> None:
-    if json:
-        terminal.emit({"node": name, "file": str(file), what: [
-            {"index": f"{d.object:04X}:{d.subindex:02X}", "name": d.name, "in_file": _plain(d.in_file),
-             "on_node": _plain(d.on_node)} for d in found]})
-    else:
-        for d in found:
-            print(f"{d.object:04X}:{d.subindex:02X} {d.name}: {d.in_file!r} in the file, {d.on_node!r} on the node")
-        print(f"{len(found)} parameters {what}.")
+def _differences(name: str, file: Path, found: list[ParameterDifference], what: str, status: int = 0) -> Answer:
+    return Answer({"node": name, "file": str(file), what: [
+        {"index": f"{d.object:04X}:{d.subindex:02X}", "name": d.name, "in_file": _plain(d.in_file),
+         "on_node": _plain(d.on_node)} for d in found]}, [
+        *(f"{d.object:04X}:{d.subindex:02X} {d.name}: {d.in_file!r} in the file, {d.on_node!r} on the node"
+          for d in found), f"{len(found)} parameters {what}."], status)
 
 
 def _plain(value: object) -> object:

@@ -11,6 +11,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import CommandGroup
+from bowden.cli.terminal import Answer
 
 check = CommandGroup(help="Find faults before anything runs.", rich_markup_mode=None)
 app.add_typer(check, name="check")
@@ -127,7 +128,7 @@ def _numbers(section: Any) -> list[tuple[str, str]]:
 
 
 @check.command("eds")
-def check_eds(files: Files, json: options.Json = False) -> int:
+def check_eds(files: Files) -> Answer:
     """List the faults of EDS or DCF files, with the place and the remedy.
 
     Example: bowden check eds my_drive.eds
@@ -137,10 +138,7 @@ def check_eds(files: Files, json: options.Json = False) -> int:
     from eds.files.check import findings
 
     found = [finding for file in files for finding in findings(file)]
-    if json:
-        terminal.emit({"files": [str(file) for file in files], "findings": [asdict(finding) for finding in found]})
-    else:
-        for finding in found:
-            print(finding)
-        print(f"{len(found)} findings in {len(files)} file{'s' if len(files) > 1 else ''}.")
-    return 1 if found else 0
+    return Answer(
+        {"files": [str(file) for file in files], "findings": [asdict(finding) for finding in found]},
+        [*map(str, found), f"{len(found)} findings in {len(files)} file{'s' if len(files) > 1 else ''}."],
+        1 if found else 0)

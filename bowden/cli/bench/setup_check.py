@@ -12,7 +12,8 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.bench.setup import check
-from bowden.cli.option_groups import Bus, SimulatedOptions, grouped
+from bowden.cli.option_groups import Bus, SimulatedOptions
+from bowden.cli.terminal import Answer
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ Angle = Annotated[list[float] | None, typer.Option(
 
 
 @check.command("bench")
-@grouped
 def check_bench(
     calibration: Checked,
     start: Weight = None,
@@ -36,8 +36,7 @@ def check_bench(
     simulated: SimulatedOptions,
     reached: Bus,
     config: options.Config = None,
-    json: options.Json = False,
-) -> int:
+) -> Answer:
     """Compare load cells with a known weight and the knee with a goniometer.
 
     No drive is enabled. On hardware it asks for each weight and angle in turn; on the simulated bench a hand supplies
@@ -64,7 +63,7 @@ def check_bench(
         shown = f"{reference:g} N on {of}" if unit == "N" else f"{of} at {math.degrees(reference):g} degrees"
         if not chosen.simulated and sys.stdin.isatty():
             typer.prompt(f"{shown}, then Enter", default="", show_default=False, err=True)
-        with terminal.waiting(f"reading {of}", shown=not json):
+        with terminal.waiting(f"reading {of}"):
             outcome, found = commissioning.perform(
                 buses.handled(chosen, **{f"{of}_{'n' if unit == 'N' else 'rad'}": reference}), sections,
                 commission.reading(of), path)
@@ -73,16 +72,9 @@ def check_bench(
         made.append(SetupCheck(of, reference, found["reading"], unit,
                                datetime.datetime.now().isoformat(timespec="minutes")))
     setup_checks.enter(calibration, made)
-    _tell(made, calibration, json=json)
-    return 0 if all(one.passed for one in made) else 1
-
-
-def _tell(made: list[SetupCheck], calibration: Path, *, json: bool) -> None:
-    if json:
-        terminal.emit({"calibration": str(calibration), "checks": [
+    return Answer(
+        {"calibration": str(calibration), "checks": [
             {"of": one.of, "reference": one.reference, "reading": one.reading, "deviation": one.deviation,
-             "tolerance": one.tolerance, "unit": one.unit, "passed": one.passed, "date": one.date} for one in made]})
-        return
-    for one in made:
-        print(f"{'ok ' if one.passed else 'BAD'} {one.in_words()}")
-    print(f"Entered in {calibration}.")
+             "tolerance": one.tolerance, "unit": one.unit, "passed": one.passed, "date": one.date} for one in made]},
+        [*(f"{'ok ' if one.passed else 'BAD'} {one.in_words()}" for one in made), f"Entered in {calibration}."],
+        0 if all(one.passed for one in made) else 1)

@@ -10,6 +10,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.models import scalars_table
+from bowden.cli.terminal import Answer
 
 if TYPE_CHECKING:
     from estimation.bench_fit import FittedBench
@@ -29,8 +30,7 @@ def fit(
     lowpass: Lowpass = None,
     logbook: options.Logbook = None,
     overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+) -> Answer:
     """Fit calibration and simulation of a bench, from its healthy trials.
 
     Any motion, own or imported: rope position, knee angle (none: locked) and START, END beside it.  The file is a
@@ -48,7 +48,7 @@ def fit(
     session.refuse_no_logbook(logbook)
     output_files.refuse([output], overwrite=overwrite, inputs=trials)
     output_files.refuse_ending(output, ".toml", what="a bench model")
-    with terminal.waiting("fitting", shown=not json), force_paths.single_paths(trials, path) as files:
+    with terminal.waiting("fitting"), force_paths.single_paths(trials, path) as files:
         found = bench_fit.fit([table.read(file, path) for file in files], lowpass)
     write_whole(output, found.text(), overwrite=True)
     if logbook is not None:
@@ -57,8 +57,7 @@ def fit(
         logbook_entries.add_model(logbook, "fit", output)
     known = None if found.rig is not None else found.model.calibration
     result: dict[str, Any] = {"model": str(output), **found.as_json(), **scalars_table.as_json(known)}
-    terminal.emit(result) if json else _tell(output, found)
-    return 0
+    return Answer(result, lambda: _tell(output, found))
 
 
 def _tell(output: Path, found: FittedBench) -> None:

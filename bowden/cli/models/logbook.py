@@ -11,6 +11,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import CommandGroup
+from bowden.cli.terminal import Answer
 
 if TYPE_CHECKING:
     from logbook.bench_state import BenchState
@@ -42,8 +43,7 @@ SHOWN = 10
 
 
 @logbook.command("init")
-def init_logbook(folder: Folder, name: Name = "", references: References = 3, path: options.ForcePath = None,
-                 json: options.Json = False) -> int:
+def init_logbook(folder: Folder, name: Name = "", references: References = 3, path: options.ForcePath = None) -> Answer:
     """Make an empty logbook of one bench; of a bench of several force paths, of the one that --path names.
 
     Example: bowden logbook init bench1
@@ -51,12 +51,11 @@ def init_logbook(folder: Folder, name: Name = "", references: References = 3, pa
     from logbook import database
 
     database.create(folder, name, references, path or "")
-    terminal.emit({"logbook": str(folder), "references": references}) if json else print(f"Logbook: {folder}")
-    return 0
+    return Answer({"logbook": str(folder), "references": references}, f"Logbook: {folder}")
 
 
 @logbook.command("add")
-def add_trials(folder: Folder, files: Files, session: options.Session = None, json: options.Json = False) -> int:
+def add_trials(folder: Folder, files: Files, session: options.Session = None) -> Answer:
     """Enter recorded trials and lab data, and fit them.
 
     A file that was entered is not entered again; where it was moved, its new place is kept.
@@ -67,19 +66,15 @@ def add_trials(folder: Folder, files: Files, session: options.Session = None, js
 
     entries = []
     for file in files:
-        with terminal.waiting(f"fitting {file}", shown=not json):
+        with terminal.waiting(f"fitting {file}"):
             entries.append(logbook_entries.add(folder, file, session))
-    if json:
-        terminal.emit({"logbook": str(folder), "added": [_row(entry) for entry in entries]})
-        return 0
-    for entry in entries:
-        print(f"Trial {entry.id}, session {entry.label}: {entry.path}" + (
-            "" if entry.estimated else f"; not fitted: {entry.remark}"))
-    return 0
+    return Answer({"logbook": str(folder), "added": [_row(entry) for entry in entries]}, [
+        f"Trial {entry.id}, session {entry.label}: {entry.path}" + (
+            "" if entry.estimated else f"; not fitted: {entry.remark}") for entry in entries])
 
 
 @logbook.command("list")
-def list_trials(folder: Folder, most: Most = 20, json: options.Json = False) -> int:
+def list_trials(folder: Folder, most: Most = 20) -> Answer:
     """List the newest trials.
 
     Example: bowden logbook init bench1 && bowden logbook list bench1
@@ -87,21 +82,17 @@ def list_trials(folder: Folder, most: Most = 20, json: options.Json = False) -> 
     from logbook.database import open_logbook
 
     with open_logbook(folder) as book:
-        counts, entries = book.counts(), book.trials(most)
-        if json:
-            terminal.emit({"bench": book.name, **{f"{k}s": v for k, v in counts.items()},
-                           "newest": [_row(entry) for entry in entries]})
-            return 0
-        terminal.table(f"{book.name}: {counts['trial']} trials in {counts['session']} sessions", (
-            "trial", "session", "experiment", "outcome", "RMSE (%)", "file"), [
-            (str(e.id), e.label, e.experiment, e.outcome or "–", _rmse(e.figures),
-             e.path if e.there else f"{e.path} (not found)") for e in entries])
-    return 0
+        name, counts, entries = book.name, book.counts(), book.trials(most)
+    rows = [(str(e.id), e.label, e.experiment, e.outcome or "–", _rmse(e.figures),
+             e.path if e.there else f"{e.path} (not found)") for e in entries]
+    return Answer(
+        {"bench": name, **{f"{k}s": v for k, v in counts.items()}, "newest": [_row(entry) for entry in entries]},
+        lambda: terminal.table(f"{name}: {counts['trial']} trials in {counts['session']} sessions", (
+            "trial", "session", "experiment", "outcome", "RMSE (%)", "file"), rows))
 
 
 @logbook.command("show")
-def show_bench(folder: Folder, trial: Number = None, limit: Limits = None, everything: Everything = False,
-               json: options.Json = False) -> int:
+def show_bench(folder: Folder, trial: Number = None, limit: Limits = None, everything: Everything = False) -> Answer:
     """Show what changed, the ten constants that moved most and forecasts, or one trial.
 
     Example: bowden logbook init bench1 && bowden logbook show bench1 --limit cable=0.3
@@ -111,19 +102,17 @@ def show_bench(folder: Folder, trial: Number = None, limit: Limits = None, every
 
     with open_logbook(folder) as book:
         if trial is not None:
-            return _show_trial(book, trial, json)
-        with terminal.waiting("diagnosing a change", shown=not json):
+            return _of_trial(book, trial)
+        with terminal.waiting("diagnosing a change"):
             state = diagnosed_state(book, _limits(limit))
-        if json:
-            terminal.emit(state.as_json() | {"models": book.models()})
-        else:
-            _tell(state, len(state.courses) if everything else SHOWN)
-    return 0
+        models = book.models()
+    return Answer(state.as_json() | {"models": models},
+                  lambda: _tell(state, len(state.courses) if everything else SHOWN))
 
 
 @logbook.command("report")
-def report_bench(folder: Folder, output: options.Output, limit: Limits = None, overwrite: options.Overwrite = False,
-                 json: options.Json = False) -> int:
+def report_bench(folder: Folder, output: options.Output, limit: Limits = None,
+                 overwrite: options.Overwrite = False) -> Answer:
     """Write the bench as one offline HTML page, alarms first.
 
     Example: bowden logbook init bench1 && bowden logbook report bench1 -o bench1.html
@@ -136,16 +125,15 @@ def report_bench(folder: Folder, output: options.Output, limit: Limits = None, o
     output_files.refuse([output], overwrite=overwrite, inputs=[folder / FILE])
     output_files.refuse_ending(output, ".html", ".htm", what="a page")
     with open_logbook(folder) as book:
-        with terminal.waiting("diagnosing a change", shown=not json):
+        with terminal.waiting("diagnosing a change"):
             state = diagnosed_state(book, _limits(limit))
         size = bench_page.write(book, state, output)
-    terminal.emit({"report": str(output), "bytes": size}) if json else print(f"{output}: {size / 1e6:.1f} MB.")
-    return 0
+    return Answer({"report": str(output), "bytes": size}, f"{output}: {size / 1e6:.1f} MB.")
 
 
 @logbook.command("export")
 def export_logbook(folder: Folder, output: options.Output, table: Table = "trials",
-                   overwrite: options.Overwrite = False, json: options.Json = False) -> int:
+                   overwrite: options.Overwrite = False) -> Answer:
     """Write one table of a logbook as CSV or Parquet.
 
     Example: bowden logbook init bench1 && bowden logbook export bench1 --table constants -o constants.csv
@@ -158,13 +146,11 @@ def export_logbook(folder: Folder, output: options.Output, table: Table = "trial
     output_files.refuse_ending(output, ".csv", ".parquet", what="a table")
     with open_logbook(folder) as book:
         rows = export_table(book, table, output)
-    terminal.emit({"file": str(output), "rows": rows}) if json else print(f"{output}: {rows} rows.")
-    return 0
+    return Answer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
 
 
 @logbook.command("note")
-def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After = None, json: options.Json = False
-                     ) -> int:
+def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After = None) -> Answer:
     """Enter maintenance; constants of a --part may jump from the next session on without an alarm.
 
     Example: bowden logbook init bench1 && bowden logbook note bench1 "cable replaced" --part cable
@@ -182,11 +168,8 @@ def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After
             raise InputError(f"--after {after}: is no session of the logbook; bowden logbook list shows their labels.")
         last = next(reversed(sessions.values()), 0) if after is None else sessions[after]
         note = book.enter_note(text, names, last)
-    if json:
-        terminal.emit({"note": note.id, "text": text, "resets": list(names)})
-    else:
-        print(f"Note {note.id}: {text}. Resets: {', '.join(names) or 'nothing; --part names what is new'}.")
-    return 0
+    return Answer({"note": note.id, "text": text, "resets": list(names)},
+                  f"Note {note.id}: {text}. Resets: {', '.join(names) or 'nothing; --part names what is new'}.")
 
 
 def _completed(incomplete: str) -> list[str]:
@@ -217,18 +200,15 @@ def _rmse(figures: dict[str, Any]) -> str:
     return terminal.number(figures.get("relative_rmse_percent"))
 
 
-def _show_trial(book: Any, number: int, json: bool) -> int:
+def _of_trial(book: Any, number: int) -> Answer:
     from parameters import InputError
 
     entries = book.trials(1, trial=number)
     if not entries:
         raise InputError(f"--trial {number}: is not in the logbook; bowden logbook list shows the numbers.")
     shown = _row(entries[0]) | {"verdicts": book.verdicts(number)}
-    if json:
-        terminal.emit(shown)
-    else:
-        terminal.table(f"trial {number}", ("key", "value"), [(k, str(v)) for k, v in shown.items()])
-    return 0
+    return Answer(shown, lambda: terminal.table(f"trial {number}", ("key", "value"), [
+        (k, str(v)) for k, v in shown.items()]))
 
 
 def _tell(state: BenchState, most: int) -> None:

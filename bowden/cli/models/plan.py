@@ -10,6 +10,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
+from bowden.cli.terminal import Answer
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ Model = Annotated[Path | None, typer.Option(
 
 @app.command("plan")
 def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logbook: Book = None, model: Model = None,
-                    path: options.ForcePath = None, json: options.Json = False) -> int:
+                    path: options.ForcePath = None) -> Answer:
     """Find the shortest experiment that separates the effects of an ambiguity set.
 
     Predicted by simulating this bench under the motion of each experiment of the catalogue.
@@ -40,7 +41,7 @@ def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logb
     if model is None and logbook is None and not trials:
         raise NothingGivenError("TRIAL… | --logbook DIR | --model FILE",
                                 "bowden plan: give trials with --healthy, a --logbook or a --model.")
-    with terminal.waiting("simulating the experiments", shown=not json):
+    with terminal.waiting("simulating the experiments"):
         if model is not None:
             found = experiment_plan.of_model(model)
         elif trials:
@@ -54,8 +55,7 @@ def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logb
         else:
             assert logbook is not None
             found = experiment_plan.of_logbook(logbook)
-    terminal.emit(found.as_json()) if json else _tell(found, str(healthy[-1]) if healthy else "a reference trial")
-    return 0
+    return Answer(found.as_json(), lambda: _tell(found, str(healthy[-1]) if healthy else "a reference trial"))
 
 
 def _tell(found: ExperimentPlan, good: str) -> None:

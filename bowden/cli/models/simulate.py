@@ -9,6 +9,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.terminal import Answer
 
 if TYPE_CHECKING:
     from estimation.data.table import Table
@@ -29,8 +30,7 @@ def simulate(
     model: Model = None,
     output: Output = None,
     overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+) -> Answer:
     """Simulate a bench under a trial's measured motion.
 
     Rope and knee go where they were measured; START and END come from the many-segment simulation.
@@ -47,14 +47,13 @@ def simulate(
         output_files.refuse_ending(output, ".csv", what="a table")
     used = bench_model.BenchModel() if model is None else bench_model.read(model)
     given = table.read(trial)
-    with terminal.waiting("simulating", shown=not json):
+    with terminal.waiting("simulating"):
         told = simulation.simulate(bench_fit.as_fitted(given, used), used.simulation_values())
     if output is not None:
         _write(output, given, told)
     figures = simulation.compared(given, told)
     result: dict[str, Any] = {"trial": str(trial), "model": None if model is None else str(model), **figures}
-    terminal.emit(result) if json else _tell(result, figures, used)
-    return 0
+    return Answer(result, lambda: _tell(result, figures, used))
 
 
 def _write(output: Path, given: Table, told: SimulatedTensions) -> None:

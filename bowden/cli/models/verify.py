@@ -7,9 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from bowden.cli import options, terminal
+from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, SimulatedOptions, WalkOptions, grouped
+from bowden.cli.option_groups import Bus, SimulatedOptions, WalkOptions
+from bowden.cli.terminal import Answer
 
 Model = Annotated[Path, typer.Argument(
     metavar="EXTENDED", help="extended.toml of bowden diagnose -o.", show_default=False)]
@@ -23,7 +24,6 @@ FIGURES = (
 
 
 @app.command()
-@grouped
 def verify(
     model: Model,
     output: Output,
@@ -35,8 +35,7 @@ def verify(
     reached: Bus,
     config: options.Config = None,
     overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+) -> Answer:
     """Measure the gain of a found effect in the control loop.
 
     One experiment twice on a bench, without and with compensation of the effects in EXTENDED.
@@ -60,15 +59,13 @@ def verify(
     prepared = {
         name: session.prepare(sections, reference, calibration, chosen, dry_run=False,
                               controller_model=model if name == "after" else None) for name in files}
-    progress = terminal.Terminal(shown=not json)
+    progress = terminal.Terminal()
     figures = {name: session.perform(prepared[name], path, overwrite=overwrite, progress=progress,
-                                     announce="" if json else f"{name}, bench on {chosen.told}.")
+                                     announce="" if terminal.quiet() else f"{name}, bench on {chosen.told}.")
                for name, path in files.items()}
     result = _compared(model, prepared["after"].experiment.known, figures)
-    terminal.emit(result) if json else _tell(result, figures)
-    from bowden.cli import ending
-
-    return max(ending.status_of(one["outcome"], one["stop_reason"]) for one in figures.values())
+    return Answer(result, lambda: _tell(result, figures),
+                  max(ending.status_of(one["outcome"], one["stop_reason"]) for one in figures.values()))
 
 
 def _compared(model: Path, known: Any, figures: dict[str, dict[str, Any]]) -> dict[str, Any]:

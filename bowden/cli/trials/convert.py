@@ -10,6 +10,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
+from bowden.cli.terminal import Answer
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -120,8 +121,7 @@ def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool, json
 @app.command()
 def export(
     trial: Trial, output: options.Output, mat73: Mat73 = False, overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+) -> Answer:
     """Write a trial as a table or a CAN log.
 
     csv, csv.gz, xlsx, tdms, parquet, mf4 and mat hold its cycles; log, asc, blf and trc its frames.
@@ -133,10 +133,9 @@ def export(
     from trial.read import open_file
 
     output_files.refuse([output], overwrite=overwrite, inputs=[trial])
-    with terminal.progress(f"exporting {trial}", shown=not json) as update:
+    with terminal.progress(f"exporting {trial}") as update:
         rows = exported(open_file(trial), output, mat73=mat73, overwrite=overwrite, progress=update)
-    terminal.emit({"file": str(output), "rows": rows}) if json else print(f"{output}: {rows} rows.")
-    return 0
+    return Answer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
 
 
 @app.command()

@@ -9,6 +9,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.terminal import Answer
 
 if TYPE_CHECKING:
     from trial.convert.contents import Contents
@@ -24,7 +25,7 @@ Gait = Annotated[str | None, typer.Option(metavar="A-B", help="Gait cycles A to 
 
 
 @app.command()
-def info(file: Any_, json: options.Json = False) -> int:
+def info(file: Any_) -> Answer:
     """List the contents of a file of any format.
 
     Streams with rates and gaps, columns with units and ranges, who recorded it.
@@ -33,10 +34,9 @@ def info(file: Any_, json: options.Json = False) -> int:
     """
     from trial.convert.contents import contents
 
-    with terminal.waiting(f"reading {file}", shown=not json):
+    with terminal.waiting(f"reading {file}"):
         found = contents(file)
-    terminal.emit(found.as_json()) if json else _tell(found)
-    return 0
+    return Answer(found.as_json(), lambda: _tell(found))
 
 
 def _tell(found: Contents) -> None:
@@ -76,8 +76,8 @@ def _tell(found: Contents) -> None:
 @app.command()
 def cut(
     file: Recording, output: options.Output, from_: From = None, to: To = None, gait: Gait = None,
-    overwrite: options.Overwrite = False, json: options.Json = False,
-) -> int:
+    overwrite: options.Overwrite = False,
+) -> Answer:
     """Write a part of a recording.
 
     By time or by gait cycles; what explains it is carried along.
@@ -94,9 +94,9 @@ def cut(
         raise InputError("cut: --gait counts gait cycles, --from and --to seconds; give one kind.")
     output_files.refuse([output], overwrite=overwrite, inputs=[file])
     output_files.refuse_ending(output, ".mcap", what="a recording")
-    with terminal.waiting(f"cutting {file}", shown=not json):
+    with terminal.waiting(f"cutting {file}"):
         found = edit.cut(file, output, from_s=from_ or 0.0, to_s=to, gait=_span(gait), overwrite=overwrite)
-    return _said(output, found, json=json)
+    return _written(output, found)
 
 
 def _span(gait: str | None) -> tuple[int, int] | None:
@@ -112,8 +112,8 @@ def _span(gait: str | None) -> tuple[int, int] | None:
 
 @app.command()
 def merge(
-    files: Several, output: options.Output, overwrite: options.Overwrite = False, json: options.Json = False
-) -> int:
+    files: Several, output: options.Output, overwrite: options.Overwrite = False,
+) -> Answer:
     """Write several recordings as one, by time.
 
     Parts of one recording, or recordings of different topics.
@@ -126,24 +126,21 @@ def merge(
 
     output_files.refuse([output], overwrite=overwrite, inputs=files)
     output_files.refuse_ending(output, ".mcap", what="a recording")
-    with terminal.waiting("merging", shown=not json):
+    with terminal.waiting("merging"):
         found = edit.merge(files, output, overwrite=overwrite)
-    return _said(output, found, json=json)
+    return _written(output, found)
 
 
-def _said(output: Path, found: Edited, *, json: bool) -> int:
-    if json:
-        terminal.emit({"file": str(output), "messages": found.messages, "seconds": found.seconds})
-    else:
-        told = ", ".join(f"{count} of {topic}" for topic, count in found.messages.items())
-        print(f"{output}: {found.seconds:.3f} s; {told}.")
-    return 0
+def _written(output: Path, found: Edited) -> Answer:
+    counts = ", ".join(f"{count} of {topic}" for topic, count in found.messages.items())
+    return Answer({"file": str(output), "messages": found.messages, "seconds": found.seconds},
+                  f"{output}: {found.seconds:.3f} s; {counts}.")
 
 
 @app.command()
 def recover(
-    torn: Torn, output: options.Output, overwrite: options.Overwrite = False, json: options.Json = False
-) -> int:
+    torn: Torn, output: options.Output, overwrite: options.Overwrite = False,
+) -> Answer:
     """Repair a torn recording.
 
     Every message that survived is written, indexed again.
@@ -157,11 +154,8 @@ def recover(
 
     output_files.refuse_ending(output, ".mcap", what="a recording")
 
-    with terminal.progress(f"recovering {torn}", shown=not json) as update:
+    with terminal.progress(f"recovering {torn}") as update:
         found = recovered(torn, output, overwrite=overwrite, progress=update)
-    if json:
-        terminal.emit({"trial": str(output), **asdict(found)})
-    else:
-        print(f"{output}: {found.messages} messages from {found.chunks} chunks; {found.damaged} chunks damaged, "
-              f"{found.bytes_skipped} bytes left out.")
-    return 0
+    return Answer({"trial": str(output), **asdict(found)}, (
+        f"{output}: {found.messages} messages from {found.chunks} chunks; {found.damaged} chunks damaged, "
+        f"{found.bytes_skipped} bytes left out."))
