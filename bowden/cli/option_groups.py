@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 from bowden.cli import options
-from bowden.cli.terminal import Answer, answered
+from bowden.cli.terminal import CommandAnswer, answered
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -185,10 +185,10 @@ def _option(text: str) -> tuple[str, Any]:
 def grouped(command: Callable[..., Any]) -> Callable[..., int]:
     """Replace each option group in a command's signature by the group's options.
 
-    A command that returns an `Answer` has the option --json besides, and the answer is printed.
+    A command that returns an `CommandAnswer` has the option --json besides, and the answer is printed.
     """
     hints = get_type_hints(command, include_extras=True)
-    answers = hints.pop("return", int) is Answer
+    answers = hints.pop("return", int) is CommandAnswer
     groups = {name: kind for name, kind in hints.items() if hasattr(kind, "_field_defaults")}
     spelt: list[inspect.Parameter] = []
     for parameter in inspect.signature(command).parameters.values():

@@ -11,7 +11,7 @@ from contextvars import ContextVar
 from typing import Any, NamedTuple
 
 
-class Answer(NamedTuple):
+class CommandAnswer(NamedTuple):
     """Result of a command: one JSON object, the lines that show it in words, and the exit status.
 
     `words` is text, lines, or a function that prints them (tables).
@@ -25,7 +25,7 @@ class Answer(NamedTuple):
 _QUIET: ContextVar[bool] = ContextVar("_QUIET", default=False)
 
 
-def answered(command: Callable[[], Answer], *, json: bool) -> int:
+def answered(command: Callable[[], CommandAnswer], *, json: bool) -> int:
     """Run a command, print its answer as JSON or in words, and return the exit status; with `json` no progress."""
     before = _QUIET.set(json)
     try:

@@ -10,7 +10,7 @@ import typer
 from bowden.cli import options
 from bowden.cli.bench.node import Eds, Force, bitrate_of, node, refuse_other_master
 from bowden.cli.option_groups import Bus
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="bus.yml of ros2_canopen.", show_default=False)]
 
@@ -18,7 +18,7 @@ File = Annotated[Path, typer.Argument(metavar="FILE", help="bus.yml of ros2_cano
 @node.command()
 def apply(
     file: File, reached: Bus, force: Force = False, config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """Write the SDO list, heartbeats and PDOs of a bus.yml into its nodes.
 
     Example: bowden node export -o bus.yml && bowden node apply bus.yml
@@ -31,7 +31,7 @@ def apply(
     with linked(reached.configured(config), bitrate_of(reached, config)) as link:
         refuse_other_master(link, force)
         done = {one.name: bus_setup.apply(link, one, file.parent) for one in devices}
-    return Answer(
+    return CommandAnswer(
         {"file": str(file), "devices": [
             {"name": one.name, "node": one.node_id, "done": done[one.name]} for one in devices]},
         [f"{one.name}, node {one.node_id}: {'; '.join(done[one.name]) or 'nothing to write'}." for one in devices])
@@ -41,7 +41,7 @@ def apply(
 def export(
     output: options.Output, reached: Bus, eds: Eds = None, config: options.Config = None,
     overwrite: options.Overwrite = False,
-) -> Answer:
+) -> CommandAnswer:
     """Write the nodes of a bus, with their PDOs as they are set, as a bus.yml of ros2_canopen.
 
     Example: bowden node export -o bus.yml
@@ -65,5 +65,5 @@ def export(
     bus_yml.write(output, bus_yml.of_devices(devices, {
         "node_id": 127, "driver": "ros2_canopen::MasterDriver", "package": "canopen_master_driver",
         "baudrate": rate // 1000}), overwrite=overwrite)
-    return Answer({"file": str(output), "nodes": [one.node_id for one in devices]},
+    return CommandAnswer({"file": str(output), "nodes": [one.node_id for one in devices]},
                   f"{output}: {len(devices)} nodes.", 0 if devices else 1)

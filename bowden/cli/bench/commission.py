@@ -11,7 +11,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, grouped
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
     from master.motion.commission import Procedure
@@ -184,7 +184,7 @@ class _Bench:
 def acknowledge(
     reached: Bus,
     config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """Release drives after an emergency stop.
 
     A drive that had its emergency stop (STO) stays off until an operator releases it; nothing is enabled by this.
@@ -205,6 +205,6 @@ def acknowledge(
         except (BringUpError, LinkError) as error:
             raise InputError(str(error)) from None
     active = [one for one in found if one.became == "still active"]
-    return Answer({one.drive: one.became for one in found}, [
+    return CommandAnswer({one.drive: one.became for one in found}, [
         f"{one.drive}: {one.became}" + (f"; {REMEDY}." if one in active else ".") for one in found],
         1 if active else 0)

@@ -14,7 +14,7 @@ from bowden.cli.app import app
 from bowden.cli.bench.node import Force, refuse_other_master
 from bowden.cli.command import CommandGroup
 from bowden.cli.option_groups import Bus
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
     from eds.cia305 import LssAddress
@@ -31,14 +31,14 @@ Wait = Annotated[int, typer.Option("--timeout", metavar="MS", min=1, max=10_000,
 
 
 @lss.command()
-def scan(reached: Bus, timeout: Wait = 100, config: options.Config = None) -> Answer:
+def scan(reached: Bus, timeout: Wait = 100, config: options.Config = None) -> CommandAnswer:
     """Find the devices that have no node id, by fastscan.
 
     Example: bowden lss scan
     """
     with _master(reached, config, timeout) as master:
         found = master.scan()
-    return Answer({"unconfigured": [_identity(address) for address in found], "note": master.scan_note}, [
+    return CommandAnswer({"unconfigured": [_identity(address) for address in found], "note": master.scan_note}, [
         *(f"{address}  " + " ".join(f"{name} 0x{number:08X}" for name, number in address._asdict().items())
           for address in found), f"{len(found)} unconfigured devices.", *filter(None, (master.scan_note,))])
 
@@ -48,7 +48,7 @@ def assign(
     node_id: Annotated[int, typer.Argument(metavar="NEWID", help="Node id 1 … 127.", show_default=False)],
     reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False, force: Force = False,
     timeout: Wait = 100, config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """Give a device a node id: the only unconfigured one, or the one of --node or --identity.
 
     Example: bowden lss assign 9 --node 2
@@ -69,7 +69,7 @@ def assign(
             master.link.beats.pop(node_id, None)
             nmt(master.link, before, "reset-comm", shown_by=node_id)
             booted = node_id in master.link.beats
-    return Answer(
+    return CommandAnswer(
         {"node": node_id, "before": before, **_identity(address), "stored": store, "booted": booted},
         f"{address} is node {node_id}{', stored' * store}; {'booted' if booted else 'no boot-up came'}.",
         0 if booted else 1)
@@ -84,7 +84,7 @@ def bitrate(
         "--activate", metavar="MS", min=1, max=65_535,
         help="Switch now: MS until the device switches, and MS in which it is silent.")] = None,
     force: Force = False, timeout: Wait = 100, config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """Give a device a bit rate, in force at its next power-on, or now by --activate.
 
     Example: bowden lss bitrate 500000 --node 2
@@ -96,7 +96,7 @@ def bitrate(
             master.store()
         if activate is not None:
             master.activate(activate)
-    return Answer(
+    return CommandAnswer(
         {**_identity(address), "bitrate": rate, "stored": store, "activated": activate is not None},
         f"{address}: {rate} bit/s{', stored' * store}" + (
             f", in force in {activate} ms." if activate is not None else "; in force once it is activated."))
@@ -106,7 +106,7 @@ def bitrate(
 def store(
     reached: Bus, node: Chosen = None, identity: Identity = None, force: Force = False, timeout: Wait = 100,
     config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """Let a device keep its node id and bit rate over a power cycle.
 
     Example: bowden lss store --node 2
@@ -114,7 +114,7 @@ def store(
     with _master(reached, config, timeout, acts=not force) as master:
         address = _choose(master, node, identity)
         master.store()
-    return Answer({**_identity(address), "stored": True}, f"{address}: node id and bit rate stored.")
+    return CommandAnswer({**_identity(address), "stored": True}, f"{address}: node id and bit rate stored.")
 
 
 @contextmanager

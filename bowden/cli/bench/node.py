@@ -14,7 +14,7 @@ from bowden.cli import options
 from bowden.cli.app import app
 from bowden.cli.command import CommandGroup
 from bowden.cli.option_groups import Bus
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
     from eds.dictionary import Dictionary
@@ -40,7 +40,7 @@ Type = Annotated[str | None, typer.Option("--type", metavar="TYPE", help="u8 …
 
 
 @node.command()
-def scan(reached: Bus, eds: Eds = None, config: options.Config = None) -> Answer:
+def scan(reached: Bus, eds: Eds = None, config: options.Config = None) -> CommandAnswer:
     """Find the nodes of a bus: heartbeats, identities, and names of EDS files that fit.
 
     Example: bowden node scan
@@ -54,7 +54,7 @@ def scan(reached: Bus, eds: Eds = None, config: options.Config = None) -> Answer
         found = scanning.scan(link, files)
     identities = ["no SDO answer" if one.identity is None else " ".join(
         f"{name} 0x{value:08X}" for name, value in one.identity.items()) for one in found]
-    return Answer({"nodes": [
+    return CommandAnswer({"nodes": [
         {"node": one.node_id, "state": one.state, "identity": one.identity, "name": one.name,
          "eds": None if one.dictionary is None else one.dictionary.path} for one in found]},
         [*(f"{one.node_id:3}  {one.state or 'no heartbeat':16}  {identity}  {one.name}".rstrip()
@@ -62,7 +62,7 @@ def scan(reached: Bus, eds: Eds = None, config: options.Config = None) -> Answer
 
 
 @node.command()
-def info(name: Name, reached: Bus, eds: Eds = None, config: options.Config = None) -> Answer:
+def info(name: Name, reached: Bus, eds: Eds = None, config: options.Config = None) -> CommandAnswer:
     """Show a node's identity, versions, NMT state and drive state.
 
     Example: bowden node info 1
@@ -70,7 +70,7 @@ def info(name: Name, reached: Bus, eds: Eds = None, config: options.Config = Non
     with _node(name, reached, config, eds) as one:
         about = one.info()
     hexadecimal = ("device_type", "vendor", "product", "revision", "serial")
-    return Answer({"node": one.node_id, **about}, [
+    return CommandAnswer({"node": one.node_id, **about}, [
         f"{key.replace('_', ' '):13} {f'0x{value:08X}' if key in hexadecimal else _listed(value)}"
         for key, value in about.items()])
 
@@ -80,7 +80,7 @@ def read(
     name: Name, place: ObjectOf, reached: Bus, eds: Eds = None, type: Type = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="File for the bytes.")] = None,
     overwrite: options.Overwrite = False, block: Block = False, config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """Read one object, typed by the EDS or by --type.
 
     Example: bowden node read 1 1018:01
@@ -99,7 +99,7 @@ def read(
     if output is not None:
         output.write_bytes(data)
     shown = f"{len(data)} bytes in {output}" if output is not None else object_text.shown(value, kind, scaled, at)
-    return Answer({
+    return CommandAnswer({
         "node": one.node_id, "object": object_text.shown_key(at), "name": one.name(at),
         "type": None if kind is None else kind.name, "value": object_text.plain(value),
         "si": value * scaled[0] if scaled and isinstance(value, int | float) else None,
@@ -112,7 +112,7 @@ def write(
     value: Annotated[str | None, typer.Argument(metavar="VALUE", help="Decimal, 0x…, text or hex bytes.")] = None,
     given: Annotated[Path | None, typer.Option("--input", metavar="FILE", help="File with the bytes.")] = None,
     eds: Eds = None, type: Type = None, block: Block = False, force: Force = False, config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """Write one object, typed by the EDS or by --type, and read it back.
 
     Example: bowden node write 1 1017 500
@@ -138,7 +138,7 @@ def write(
         except SdoError:
             now = None
         scaled = one.units.get(at)
-    return Answer(
+    return CommandAnswer(
         {"node": one.node_id, "object": object_text.shown_key(at), "name": one.name(at), "written": len(data),
          "value": object_text.plain(now)}, _object(one, at) + (
             f": {len(data)} bytes written." if now is None else f" = {object_text.shown(now, kind, scaled, at)}"))
@@ -156,7 +156,7 @@ def objects(
     name: Name, reached: Bus, eds: Eds = None,
     changed: Annotated[bool, typer.Option("--changed", help="Only values that are not the EDS's default.")] = False,
     config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """List a node's objects with their live values; * marks one that is not the EDS's default.
 
     Example: bowden node objects 3 --changed
@@ -168,7 +168,7 @@ def objects(
         units = one.units
     shown = [each.refusal or object_text.shown(
         each.value, each.entry.data_type, units.get(each.entry.key), each.entry.key) for each in found]
-    return Answer({"node": one.node_id, "objects": [
+    return CommandAnswer({"node": one.node_id, "objects": [
         {"object": object_text.shown_key(each.entry.key), "name": one.name(each.entry.key),
          "access": each.entry.access, "type": each.entry.data_type.name, "value": object_text.plain(each.value),
          "default": object_text.plain(each.entry.default), "changed": each.changed,
@@ -187,7 +187,7 @@ def pdo(
         "--set", metavar="PDO.KEY=N",
         help="cob_id, type, inhibit (100 µs) or event_timer (ms): tpdo1.type=1.")] = None,
     force: Force = False, config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """Show a node's PDOs with names and values, or change them in the order of CiA 301.
 
     Example: bowden node pdo 2 --map tpdo1=6041,6064 --set tpdo1.type=1
@@ -206,7 +206,7 @@ def pdo(
         f"    {object_text.shown_key(at)} {one.name(at)}, {word & 0xFF} bits = "
         f"{object_text.shown(values[at], one.kind(at), units.get(at), at)}"
         for word in state.mapping for at in (word >> 8,)))]
-    return Answer({"node": one.node_id, "pdos": [
+    return CommandAnswer({"node": one.node_id, "pdos": [
         {"pdo": state.name, "valid": state.valid, **state.parameters, "mapping": [
             {"object": object_text.shown_key(word >> 8), "name": one.name(word >> 8), "bits": word & 0xFF,
              "value": object_text.plain(values[word >> 8])} for word in state.mapping]} for state in states]},
@@ -282,7 +282,7 @@ def errors(
     name: Name, reached: Bus, eds: Eds = None,
     clear: Annotated[bool, typer.Option("--clear", help="Clear the history 0x1003.")] = False,
     force: Force = False, config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """Show a node's error register and error history in words; exit status 1 where an error is present.
 
     Example: bowden node errors 1 || true
@@ -291,7 +291,7 @@ def errors(
         if clear:
             one.clear_errors()
         bits, history = one.errors()
-    return Answer({"node": one.node_id, "register": bits, "history": [
+    return CommandAnswer({"node": one.node_id, "register": bits, "history": [
         {"code": f"{each.code:04X}", "text": each.text, "manufacturer": each.more} for each in history]}, [
         f"1001 error register: {', '.join(bits) or 'no error'}",
         *(f"{each.code:04X} {each.text}" + (f" (manufacturer's word {each.more:04X})" if each.more else "")
@@ -304,7 +304,7 @@ def nmt(
     command: Annotated[str, typer.Argument(metavar="COMMAND", help="start, stop, preop, reset or reset-comm.",
                                            show_default=False)],
     reached: Bus, force: Force = False, config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """Command the NMT state of a node or of all nodes; exit status 1 if a node does not show the new state.
 
     Example: bowden node nmt 3 start
@@ -321,7 +321,7 @@ def nmt(
         refuse_other_master(link, force)
         answer = access.nmt(link, node_id, command)
     states = list(answer.states.values()) if node_id else [f"{one} {state}" for one, state in answer.states.items()]
-    return Answer(
+    return CommandAnswer(
         {"node": name, "command": command, "state": answer.states.get(node_id), "obeyed": answer.obeyed,
          "states": {str(one): state for one, state in answer.states.items()}},
         f"{name}: {command} sent; {', '.join(states) or 'no node shows its state'}.", 0 if answer.obeyed else 1)
@@ -332,7 +332,7 @@ def emcy(
     code: Annotated[str, typer.Argument(metavar="CODE", help="Error code, hexadecimal.", show_default=False)],
     eds: Eds = None,
     profile: Annotated[int | None, typer.Option(metavar="NUMBER", help="402 or 404: profile of the device.")] = None,
-) -> Answer:
+) -> CommandAnswer:
     """Show an EMCY error code in words: the EDS's own, CiA 301, 402 and 404.
 
     Example: bowden node emcy 8611 --profile 402
@@ -348,7 +348,7 @@ def emcy(
     if not 0 <= number <= 0xFFFF:
         raise InputError(f"emcy {code}: is no error code; give four hexadecimal digits such as 8611.")
     text = emcy_text(number, profile, {} if eds is None else read_eds(eds).emergencies)
-    return Answer({"code": f"{number:04X}", "text": text}, f"{number:04X} {text}")
+    return CommandAnswer({"code": f"{number:04X}", "text": text}, f"{number:04X} {text}")
 
 
 @node.command()
@@ -360,7 +360,7 @@ def backup(
     concise: Annotated[Path | None, typer.Option(metavar="FILE", help="Write them as concise DCF (1F22), too.")] = None,
     config: options.Config = None,
     overwrite: options.Overwrite = False,
-) -> Answer:
+) -> CommandAnswer:
     """Read a node's parameters and PDO settings and write them as DCF.
 
     Example: bowden node backup servo -o servo.dcf
@@ -379,13 +379,13 @@ def backup(
     write_whole(output, dcf.as_dcf(entry.dictionary, entry.node_id, values), overwrite=True)
     if concise is not None:
         write_whole(concise, dcf.concise(read_dcf(output)), overwrite=True)
-    return Answer({"node": name, "file": str(output), "parameters": len(values), "unread": unread}, [
+    return CommandAnswer({"node": name, "file": str(output), "parameters": len(values), "unread": unread}, [
         f"{output}: {len(values)} parameters of {name}; {len(unread)} could not be read.",
         *(f"  not read: {place}" for place in unread)], 1 if unread else 0)
 
 
 @node.command()
-def compare(name: Name, file: File, reached: Bus, config: options.Config = None) -> Answer:
+def compare(name: Name, file: File, reached: Bus, config: options.Config = None) -> CommandAnswer:
     """List the parameters of a node that differ from a DCF; exit status 1 where any does.
 
     Example: bowden node backup servo -o servo.dcf && bowden node compare servo servo.dcf
@@ -399,7 +399,7 @@ def compare(name: Name, file: File, reached: Bus, config: options.Config = None)
 @node.command()
 def restore(
     name: Name, file: File, reached: Bus, force: Force = False, config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """Write what differs from a DCF into the node and store it there.
 
     Example: bowden node backup servo -o servo.dcf && bowden node restore servo servo.dcf
@@ -491,8 +491,8 @@ def _listed(value: object) -> str:
     return (", ".join(map(str, value)) or "none") if isinstance(value, list) else str(value)
 
 
-def _differences(name: str, file: Path, found: list[ParameterDifference], what: str, status: int = 0) -> Answer:
-    return Answer({"node": name, "file": str(file), what: [
+def _differences(name: str, file: Path, found: list[ParameterDifference], what: str, status: int = 0) -> CommandAnswer:
+    return CommandAnswer({"node": name, "file": str(file), what: [
         {"index": f"{d.object:04X}:{d.subindex:02X}", "name": d.name, "in_file": _plain(d.in_file),
          "on_node": _plain(d.on_node)} for d in found]}, [
         *(f"{d.object:04X}:{d.subindex:02X} {d.name}: {d.in_file!r} in the file, {d.on_node!r} on the node"

@@ -11,7 +11,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import CommandGroup
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 
 check = CommandGroup(help="Find faults before anything runs.", rich_markup_mode=None)
 app.add_typer(check, name="check")
@@ -128,7 +128,7 @@ def _numbers(section: Any) -> list[tuple[str, str]]:
 
 
 @check.command("eds")
-def check_eds(files: Files) -> Answer:
+def check_eds(files: Files) -> CommandAnswer:
     """List the faults of EDS or DCF files, with the place and the remedy.
 
     Example: bowden check eds my_drive.eds
@@ -138,7 +138,7 @@ def check_eds(files: Files) -> Answer:
     from eds.files.check import findings
 
     found = [finding for file in files for finding in findings(file)]
-    return Answer(
+    return CommandAnswer(
         {"files": [str(file) for file in files], "findings": [asdict(finding) for finding in found]},
         [*map(str, found), f"{len(found)} findings in {len(files)} file{'s' if len(files) > 1 else ''}."],
         1 if found else 0)

@@ -13,7 +13,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.bench.setup import check
 from bowden.cli.option_groups import Bus, SimulatedOptions
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def check_bench(
     simulated: SimulatedOptions,
     reached: Bus,
     config: options.Config = None,
-) -> Answer:
+) -> CommandAnswer:
     """Compare load cells with a known weight and the knee with a goniometer.
 
     No drive is enabled. On hardware it asks for each weight and angle in turn; on the simulated bench a hand supplies
@@ -72,7 +72,7 @@ def check_bench(
         made.append(SetupCheck(of, reference, found["reading"], unit,
                                datetime.datetime.now().isoformat(timespec="minutes")))
     setup_checks.enter(calibration, made)
-    return Answer(
+    return CommandAnswer(
         {"calibration": str(calibration), "checks": [
             {"of": one.of, "reference": one.reference, "reading": one.reading, "deviation": one.deviation,
              "tolerance": one.tolerance, "unit": one.unit, "passed": one.passed, "date": one.date} for one in made]},

@@ -10,7 +10,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.models import scalars_table
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
     from estimation.bench_fit import FittedBench
@@ -30,7 +30,7 @@ def fit(
     lowpass: Lowpass = None,
     logbook: options.Logbook = None,
     overwrite: options.Overwrite = False,
-) -> Answer:
+) -> CommandAnswer:
     """Fit calibration and simulation of a bench, from its healthy trials.
 
     Any motion, own or imported: rope position, knee angle (none: locked) and START, END beside it.  The file is a
@@ -57,7 +57,7 @@ def fit(
         logbook_entries.add_model(logbook, "fit", output)
     known = None if found.rig is not None else found.model.calibration
     result: dict[str, Any] = {"model": str(output), **found.as_json(), **scalars_table.as_json(known)}
-    return Answer(result, lambda: _tell(output, found))
+    return CommandAnswer(result, lambda: _tell(output, found))
 
 
 def _tell(output: Path, found: FittedBench) -> None:

@@ -11,7 +11,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import CommandGroup
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
     from logbook.bench_state import BenchState
@@ -43,7 +43,9 @@ SHOWN = 10
 
 
 @logbook.command("init")
-def init_logbook(folder: Folder, name: Name = "", references: References = 3, path: options.ForcePath = None) -> Answer:
+def init_logbook(
+    folder: Folder, name: Name = "", references: References = 3, path: options.ForcePath = None,
+) -> CommandAnswer:
     """Make an empty logbook of one bench; of a bench of several force paths, of the one that --path names.
 
     Example: bowden logbook init bench1
@@ -51,11 +53,11 @@ def init_logbook(folder: Folder, name: Name = "", references: References = 3, pa
     from logbook import database
 
     database.create(folder, name, references, path or "")
-    return Answer({"logbook": str(folder), "references": references}, f"Logbook: {folder}")
+    return CommandAnswer({"logbook": str(folder), "references": references}, f"Logbook: {folder}")
 
 
 @logbook.command("add")
-def add_trials(folder: Folder, files: Files, session: options.Session = None) -> Answer:
+def add_trials(folder: Folder, files: Files, session: options.Session = None) -> CommandAnswer:
     """Enter recorded trials and lab data, and fit them.
 
     A file that was entered is not entered again; where it was moved, its new place is kept.
@@ -68,13 +70,13 @@ def add_trials(folder: Folder, files: Files, session: options.Session = None) ->
     for file in files:
         with terminal.waiting(f"fitting {file}"):
             entries.append(logbook_entries.add(folder, file, session))
-    return Answer({"logbook": str(folder), "added": [_row(entry) for entry in entries]}, [
+    return CommandAnswer({"logbook": str(folder), "added": [_row(entry) for entry in entries]}, [
         f"Trial {entry.id}, session {entry.label}: {entry.path}" + (
             "" if entry.estimated else f"; not fitted: {entry.remark}") for entry in entries])
 
 
 @logbook.command("list")
-def list_trials(folder: Folder, most: Most = 20) -> Answer:
+def list_trials(folder: Folder, most: Most = 20) -> CommandAnswer:
     """List the newest trials.
 
     Example: bowden logbook init bench1 && bowden logbook list bench1
@@ -85,14 +87,16 @@ def list_trials(folder: Folder, most: Most = 20) -> Answer:
         name, counts, entries = book.name, book.counts(), book.trials(most)
     rows = [(str(e.id), e.label, e.experiment, e.outcome or "–", _rmse(e.figures),
              e.path if e.there else f"{e.path} (not found)") for e in entries]
-    return Answer(
+    return CommandAnswer(
         {"bench": name, **{f"{k}s": v for k, v in counts.items()}, "newest": [_row(entry) for entry in entries]},
         lambda: terminal.table(f"{name}: {counts['trial']} trials in {counts['session']} sessions", (
             "trial", "session", "experiment", "outcome", "RMSE (%)", "file"), rows))
 
 
 @logbook.command("show")
-def show_bench(folder: Folder, trial: Number = None, limit: Limits = None, everything: Everything = False) -> Answer:
+def show_bench(
+    folder: Folder, trial: Number = None, limit: Limits = None, everything: Everything = False,
+) -> CommandAnswer:
     """Show what changed, the ten constants that moved most and forecasts, or one trial.
 
     Example: bowden logbook init bench1 && bowden logbook show bench1 --limit cable=0.3
@@ -106,13 +110,13 @@ def show_bench(folder: Folder, trial: Number = None, limit: Limits = None, every
         with terminal.waiting("diagnosing a change"):
             state = diagnosed_state(book, _limits(limit))
         models = book.models()
-    return Answer(state.as_json() | {"models": models},
+    return CommandAnswer(state.as_json() | {"models": models},
                   lambda: _tell(state, len(state.courses) if everything else SHOWN))
 
 
 @logbook.command("report")
 def report_bench(folder: Folder, output: options.Output, limit: Limits = None,
-                 overwrite: options.Overwrite = False) -> Answer:
+                 overwrite: options.Overwrite = False) -> CommandAnswer:
     """Write the bench as one offline HTML page, alarms first.
 
     Example: bowden logbook init bench1 && bowden logbook report bench1 -o bench1.html
@@ -128,12 +132,12 @@ def report_bench(folder: Folder, output: options.Output, limit: Limits = None,
         with terminal.waiting("diagnosing a change"):
             state = diagnosed_state(book, _limits(limit))
         size = bench_page.write(book, state, output)
-    return Answer({"report": str(output), "bytes": size}, f"{output}: {size / 1e6:.1f} MB.")
+    return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {size / 1e6:.1f} MB.")
 
 
 @logbook.command("export")
 def export_logbook(folder: Folder, output: options.Output, table: Table = "trials",
-                   overwrite: options.Overwrite = False) -> Answer:
+                   overwrite: options.Overwrite = False) -> CommandAnswer:
     """Write one table of a logbook as CSV or Parquet.
 
     Example: bowden logbook init bench1 && bowden logbook export bench1 --table constants -o constants.csv
@@ -146,11 +150,11 @@ def export_logbook(folder: Folder, output: options.Output, table: Table = "trial
     output_files.refuse_ending(output, ".csv", ".parquet", what="a table")
     with open_logbook(folder) as book:
         rows = export_table(book, table, output)
-    return Answer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
+    return CommandAnswer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
 
 
 @logbook.command("note")
-def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After = None) -> Answer:
+def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After = None) -> CommandAnswer:
     """Enter maintenance; constants of a --part may jump from the next session on without an alarm.
 
     Example: bowden logbook init bench1 && bowden logbook note bench1 "cable replaced" --part cable
@@ -168,7 +172,7 @@ def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After
             raise InputError(f"--after {after}: is no session of the logbook; bowden logbook list shows their labels.")
         last = next(reversed(sessions.values()), 0) if after is None else sessions[after]
         note = book.enter_note(text, names, last)
-    return Answer({"note": note.id, "text": text, "resets": list(names)},
+    return CommandAnswer({"note": note.id, "text": text, "resets": list(names)},
                   f"Note {note.id}: {text}. Resets: {', '.join(names) or 'nothing; --part names what is new'}.")
 
 
@@ -200,14 +204,14 @@ def _rmse(figures: dict[str, Any]) -> str:
     return terminal.number(figures.get("relative_rmse_percent"))
 
 
-def _of_trial(book: Any, number: int) -> Answer:
+def _of_trial(book: Any, number: int) -> CommandAnswer:
     from parameters import InputError
 
     entries = book.trials(1, trial=number)
     if not entries:
         raise InputError(f"--trial {number}: is not in the logbook; bowden logbook list shows the numbers.")
     shown = _row(entries[0]) | {"verdicts": book.verdicts(number)}
-    return Answer(shown, lambda: terminal.table(f"trial {number}", ("key", "value"), [
+    return CommandAnswer(shown, lambda: terminal.table(f"trial {number}", ("key", "value"), [
         (k, str(v)) for k, v in shown.items()]))
 
 

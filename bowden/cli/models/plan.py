@@ -10,7 +10,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ Model = Annotated[Path | None, typer.Option(
 
 @app.command("plan")
 def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logbook: Book = None, model: Model = None,
-                    path: options.ForcePath = None) -> Answer:
+                    path: options.ForcePath = None) -> CommandAnswer:
     """Find the shortest experiment that separates the effects of an ambiguity set.
 
     Predicted by simulating this bench under the motion of each experiment of the catalogue.
@@ -55,7 +55,7 @@ def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logb
         else:
             assert logbook is not None
             found = experiment_plan.of_logbook(logbook)
-    return Answer(found.as_json(), lambda: _tell(found, str(healthy[-1]) if healthy else "a reference trial"))
+    return CommandAnswer(found.as_json(), lambda: _tell(found, str(healthy[-1]) if healthy else "a reference trial"))
 
 
 def _tell(found: ExperimentPlan, good: str) -> None:

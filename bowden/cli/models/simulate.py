@@ -9,7 +9,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
     from estimation.data.table import Table
@@ -30,7 +30,7 @@ def simulate(
     model: Model = None,
     output: Output = None,
     overwrite: options.Overwrite = False,
-) -> Answer:
+) -> CommandAnswer:
     """Simulate a bench under a trial's measured motion.
 
     Rope and knee go where they were measured; START and END come from the many-segment simulation.
@@ -53,7 +53,7 @@ def simulate(
         _write(output, given, told)
     figures = simulation.compared(given, told)
     result: dict[str, Any] = {"trial": str(trial), "model": None if model is None else str(model), **figures}
-    return Answer(result, lambda: _tell(result, figures, used))
+    return CommandAnswer(result, lambda: _tell(result, figures, used))
 
 
 def _write(output: Path, given: Table, told: SimulatedTensions) -> None:

@@ -10,7 +10,7 @@ import typer
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, SimulatedOptions, WalkOptions
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 
 Model = Annotated[Path, typer.Argument(
     metavar="EXTENDED", help="extended.toml of bowden diagnose -o.", show_default=False)]
@@ -35,7 +35,7 @@ def verify(
     reached: Bus,
     config: options.Config = None,
     overwrite: options.Overwrite = False,
-) -> Answer:
+) -> CommandAnswer:
     """Measure the gain of a found effect in the control loop.
 
     One experiment twice on a bench, without and with compensation of the effects in EXTENDED.
@@ -64,7 +64,7 @@ def verify(
                                      announce="" if terminal.quiet() else f"{name}, bench on {chosen.told}.")
                for name, path in files.items()}
     result = _compared(model, prepared["after"].experiment.known, figures)
-    return Answer(result, lambda: _tell(result, figures),
+    return CommandAnswer(result, lambda: _tell(result, figures),
                   max(ending.status_of(one["outcome"], one["stop_reason"]) for one in figures.values()))
 
 

@@ -10,7 +10,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -121,7 +121,7 @@ def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool, json
 @app.command()
 def export(
     trial: Trial, output: options.Output, mat73: Mat73 = False, overwrite: options.Overwrite = False,
-) -> Answer:
+) -> CommandAnswer:
     """Write a trial as a table or a CAN log.
 
     csv, csv.gz, xlsx, tdms, parquet, mf4 and mat hold its cycles; log, asc, blf and trc its frames.
@@ -135,7 +135,7 @@ def export(
     output_files.refuse([output], overwrite=overwrite, inputs=[trial])
     with terminal.progress(f"exporting {trial}") as update:
         rows = exported(open_file(trial), output, mat73=mat73, overwrite=overwrite, progress=update)
-    return Answer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
+    return CommandAnswer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
 
 
 @app.command()

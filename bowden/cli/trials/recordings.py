@@ -9,7 +9,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.terminal import Answer
+from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
     from trial.convert.contents import Contents
@@ -25,7 +25,7 @@ Gait = Annotated[str | None, typer.Option(metavar="A-B", help="Gait cycles A to 
 
 
 @app.command()
-def info(file: Any_) -> Answer:
+def info(file: Any_) -> CommandAnswer:
     """List the contents of a file of any format.
 
     Streams with rates and gaps, columns with units and ranges, who recorded it.
@@ -36,7 +36,7 @@ def info(file: Any_) -> Answer:
 
     with terminal.waiting(f"reading {file}"):
         found = contents(file)
-    return Answer(found.as_json(), lambda: _tell(found))
+    return CommandAnswer(found.as_json(), lambda: _tell(found))
 
 
 def _tell(found: Contents) -> None:
@@ -77,7 +77,7 @@ def _tell(found: Contents) -> None:
 def cut(
     file: Recording, output: options.Output, from_: From = None, to: To = None, gait: Gait = None,
     overwrite: options.Overwrite = False,
-) -> Answer:
+) -> CommandAnswer:
     """Write a part of a recording.
 
     By time or by gait cycles; what explains it is carried along.
@@ -113,7 +113,7 @@ def _span(gait: str | None) -> tuple[int, int] | None:
 @app.command()
 def merge(
     files: Several, output: options.Output, overwrite: options.Overwrite = False,
-) -> Answer:
+) -> CommandAnswer:
     """Write several recordings as one, by time.
 
     Parts of one recording, or recordings of different topics.
@@ -131,16 +131,16 @@ def merge(
     return _written(output, found)
 
 
-def _written(output: Path, found: Edited) -> Answer:
+def _written(output: Path, found: Edited) -> CommandAnswer:
     counts = ", ".join(f"{count} of {topic}" for topic, count in found.messages.items())
-    return Answer({"file": str(output), "messages": found.messages, "seconds": found.seconds},
+    return CommandAnswer({"file": str(output), "messages": found.messages, "seconds": found.seconds},
                   f"{output}: {found.seconds:.3f} s; {counts}.")
 
 
 @app.command()
 def recover(
     torn: Torn, output: options.Output, overwrite: options.Overwrite = False,
-) -> Answer:
+) -> CommandAnswer:
     """Repair a torn recording.
 
     Every message that survived is written, indexed again.
@@ -156,6 +156,6 @@ def recover(
 
     with terminal.progress(f"recovering {torn}") as update:
         found = recovered(torn, output, overwrite=overwrite, progress=update)
-    return Answer({"trial": str(output), **asdict(found)}, (
+    return CommandAnswer({"trial": str(output), **asdict(found)}, (
         f"{output}: {found.messages} messages from {found.chunks} chunks; {found.damaged} chunks damaged, "
         f"{found.bytes_skipped} bytes left out."))
