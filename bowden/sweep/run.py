@@ -29,12 +29,14 @@ ENDED = "the process that ran it ended by itself: out of memory, or a plug-in th
 class Workers(NamedTuple):
     """Executor of the trials, and how many trials it runs at a time.
 
-    `renewed` returns another executor after a process of the first one ended; None if it recovers by itself.
+    `renewed` returns another executor after a process of the first one ended; None if it recovers by itself. `killed`
+    are the exceptions with which such an executor gives up a job whose processes ended.
     """
 
     executor: Executor
     at_once: int
     renewed: Callable[[], Executor] | None = None
+    killed: tuple[type[BaseException], ...] = ()
 
 
 class Job(NamedTuple):
@@ -90,7 +92,8 @@ def cluster(address: str) -> Iterator[Workers]:
         count = sum(client.nthreads().values())
         if not count:
             raise InputError(f"--scheduler {address}: has no workers; start some.")
-        yield Workers(client.get_executor(pure=False), count)
+        killed = importlib.import_module("distributed.scheduler").KilledWorker
+        yield Workers(client.get_executor(pure=False), count, killed=(killed,))
 
 
 def run_all(jobs: Iterable[Job], workers: Workers, finished: Callable[[Any, Any], None]) -> None:
@@ -102,9 +105,12 @@ def run_all(jobs: Iterable[Job], workers: Workers, finished: Callable[[Any, Any]
     """
     waiting, again, executor = iter(jobs), deque[Job](), workers.executor
     under_way: dict[Future[Any], Job] = {}
+    alone: Job | None = None
     try:
         while True:
             room = max(0, workers.at_once + 1 - len(under_way)) if not again else not under_way
+            if again and room:
+                alone = again[0]
             for job in [again.popleft()] if again and room else [] if again else itertools.islice(waiting, room):
                 under_way[executor.submit(job.function, *job.arguments)] = job
             if not under_way:
@@ -116,6 +122,11 @@ def run_all(jobs: Iterable[Job], workers: Workers, finished: Callable[[Any, Any]
                     continue
                 try:
                     result = future.result()
+                except workers.killed as error:  # Dask suspects every job of a worker that ended
+                    if done is not alone:
+                        again.append(done)
+                        continue
+                    result = BrokenExecutor(str(error))
                 except BrokenExecutor as error:
                     under_way.clear()
                     if workers.renewed is None:
@@ -131,7 +142,7 @@ def run_all(jobs: Iterable[Job], workers: Workers, finished: Callable[[Any, Any]
         for future in [future for future in under_way if future.cancel()]:
             del under_way[future]
         for future in wait(under_way).done:
-            if not isinstance(future.exception(), BrokenExecutor):
+            if not isinstance(future.exception(), (BrokenExecutor, *workers.killed)):
                 finished(under_way[future].key, future.result())
         raise
 

@@ -25,9 +25,9 @@ def refuse_unchecked(
     from bowden.trials.force_paths import file_of
     from physics import setup_check
 
-    limb, bench = sections["record"].limb, sections["network"].bench
-    if not limb:
+    if "record" not in sections or not (limb := sections["record"].limb):  # a sweep's rows declare no limb
         return
+    bench = sections["network"].bench
     remedy = "run bowden check bench on its calibration"
     if calibration is None:
         raise InputError(f"[record] limb = {limb!r}: a trial with a limb needs a checked bench, and no --calibration "

@@ -36,11 +36,11 @@ PATIENCE_S = 600
 PATIENT = """
 [network]
 rate_hz = 20
-heartbeat_timeout_ms = 3000
-targets_deadline_ms = 2000
-start_deadline_cycles = 20
+heartbeat_timeout_ms = 20000
+targets_deadline_ms = 8000
+start_deadline_cycles = 100
 [limits]
-stale_cycles = 20
+stale_cycles = 100
 """
 """A configuration for tests of function: a guest with a tenth of a processor keeps its cycle and its deadlines."""
 
