@@ -41,6 +41,8 @@ targets_deadline_ms = 8000
 start_deadline_cycles = 100
 [limits]
 stale_cycles = 100
+[homing]
+rope_m_s = 0.002
 """
 """A configuration for tests of function: a guest with a tenth of a processor keeps its cycle and its deadlines."""
 
