@@ -72,7 +72,7 @@ def test_what_cannot_be_walked_is_refused(
 def test_a_garment_that_migrates_stops_no_trial(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], migration_m: float
 ) -> None:
-    """0.1 mm a stride in the first strides; more than the range at once ends the trial with the sentence of a slip."""
+    """The zero moves by 0.1 mm a stride, which is followed."""
     from trial import read
 
     model = tmp_path / "migrating.toml"
