@@ -62,7 +62,7 @@ def test_an_ambiguous_trial_gets_an_experiment_and_none_twice(tmp_path: Path, bo
 
 @pytest.mark.parametrize(("words", "said"), [
     (("plan",), "bowden plan TRIAL… | --logbook DIR | --model FILE"),
-    (("plan", "x.mcap", "--model", "m.toml"), "leave trials, --healthy and --logbook out"),
+    (("plan", "x.mcap", "--model", "m.toml"), "leave trials, --healthy, --logbook and --path out"),
     (("plan", "--model", "m.toml"), "states no effect"),
     (("plan", "--logbook", "none"), "holds no logbook"),
     (("plan", "--logbook", "book"), "no reference session"),
