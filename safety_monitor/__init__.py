@@ -2,9 +2,7 @@
 
 It shares no code with master, nodes and physics: it imports `eds` and the standard library alone. Sensor values and
 heartbeats go in, the state of the enable line comes out; no bus, no clock, no thread. The bounds of one person are in
-one file, whose SHA-256 digest the monitor reports.
-
-Start reading in `safety_monitor.node`.
+one file, whose SHA-256 digest the monitor reports. Start reading in `safety_monitor.node`.
 """
 
 from safety_monitor.checks import CHECKS, MonitorState, PathInputs, step

@@ -37,7 +37,7 @@ class PathInputs(NamedTuple):
     rope_m: float
 
 
-class Heard(NamedTuple):
+class Heartbeat(NamedTuple):
     """The last heartbeat of a node: its time, and the NMT state in it."""
 
     node: int
@@ -54,7 +54,7 @@ class MonitorState(NamedTuple):
 
     time_ns: int = -1
     history: tuple[tuple[PathInputs, ...], ...] = ()
-    heard: tuple[Heard, ...] = ()
+    heard: tuple[Heartbeat, ...] = ()
     working_ns: int = -1
     cause: Emcy | None = None
     text: str = ""
@@ -169,7 +169,7 @@ def step(state: MonitorState, bounds: Bounds, master: int, drives: Sequence[int]
     for frame in frames:
         node = frame.can_id - HEARTBEAT_BASE
         if node in watched and len(frame.data) == 1 and not (frame.extended or frame.remote or frame.error):
-            last[node] = Heard(node, time_ns, frame.data[0] & 0x7F)
+            last[node] = Heartbeat(node, time_ns, frame.data[0] & 0x7F)
     heard = tuple(last.values())
     at_work = any(beat.node in drives and beat.state == NmtState.OPERATIONAL for beat in heard)
     working_ns = -1 if not at_work else state.working_ns if state.working_ns >= 0 else time_ns

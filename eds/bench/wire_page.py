@@ -72,12 +72,22 @@ CiA 402-2, as `eds/cia402.py` holds it in one table; numbers are the profile's. 
 ```mermaid
 stateDiagram-v2
 """
+_UNITS = """\
+
+## Units on the wire
+
+Servo: drum radius 20 mm; position user unit 1 µm of rope (0x608F 131072 inc/rev, 0x6091 1:1, 0x6092 1256637 µm per
+10 rev, 0x60A8 0xFA010000); torque in ‰ of 0x6076 = 2000 mN·m, so that 0x6077 steps 0.1 N of rope force.
+Knee: 0x608F 4000 inc/motor rev, 0x6091 20:1, 0x6092 360000 per rev, 0x60A8 0xFD410000: user unit 1 mdeg of the knee.
+Sensors: 0x6131 newton (0x00210000), 0x6132 = 2 decimals, so that 0x7130 and 0x9130 count 0.01 N. Velocity user units:
+µm/s and mdeg/s.
+"""
 
 
 def page(network: Network = Network()) -> str:  # noqa: B008
     """Return the whole page for a network."""
     built = wire(network)
-    return "".join((_head(built), _cycle(built), _plans(built), _pdos(built), _STATES, diagram(), "```\n"))
+    return "".join((_head(built), _cycle(built), _plans(built), _pdos(built), _STATES, diagram(), "```\n", _UNITS))
 
 
 def diagram() -> str:

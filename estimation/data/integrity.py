@@ -120,10 +120,11 @@ def wraps(given: Table, jump: float = 0.5, usual: float = 0.05) -> Iterator[Find
                           f"{far[0] + 3} by {moved[far[0]]:.4g}: unwrap the column, so that it goes on.", True)
 
 
-def unsigned(given: Table, share: float = 0.1, alike: float = 1.5) -> Iterator[Finding]:
-    """Yield a finding on a drive force without sign: never negative, alike in both directions, near 0 between.
+def unsigned(given: Table, share: float = 0.1, alike: float = 1.5, pulled: float = 0.8) -> Iterator[Finding]:
+    """Yield a finding on a drive force without sign: never negative, near 0 at times, alike in both directions.
 
     Each direction has the `share` of the rows or more, and the means of both differ by less than a factor `alike`.
+    A correlation with the travel above `pulled` is a spring or rope that is pulled, whose force has one sign.
     """
     if not {"servo_force_n", "servo_position_m"} <= set(given.columns):
         return
@@ -133,7 +134,9 @@ def unsigned(given: Table, share: float = 0.1, alike: float = 1.5) -> Iterator[F
     if min(way.size for way in ways) < share * force.size or np.nanmin(force) < 0.0:
         return
     means = sorted(float(way.mean()) for way in ways)
-    if means[1] < alike * means[0] and np.nanquantile(force, 0.01) < 0.2 * means[0]:
+    there = np.isfinite(force) & np.isfinite(given["servo_position_m"])
+    apart = abs(np.corrcoef(force[there], given["servo_position_m"][there])[0, 1]) < pulled
+    if apart and means[1] < alike * means[0] and np.nanquantile(force, 0.01) < 0.2 * means[0]:
         yield Finding(f"{given.source}: {written(given, 'servo_force_n')} has no sign: it is never negative, and as "
                       "large in one direction as in the other; record it with its sign.", True)
 

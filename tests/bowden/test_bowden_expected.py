@@ -383,7 +383,7 @@ def test_a_sweep_that_is_told_to_end_goes_on_from_there(here: Path, number: sign
 @pytest.mark.walltime
 @pytest.mark.parametrize("number", ENDINGS)
 @pytest.mark.parametrize("command", [("bench", "--interface", "virtual", "--channel", "endings"),
-                                     ("live", "a.mcap", "--port", "0"), ("live", "a.mcap", "--port", "0", "--web", "0"),
+                                     ("live", "a.mcap", "--web", "0"),
                                      ("record", "--interface", "virtual", "--channel", "endings", "-o", "b.mcap")],
                          ids=" ".join)
 def test_what_serves_or_listens_ends_on_a_signal(here: Path, command: tuple[str, ...], number: signal.Signals) -> None:

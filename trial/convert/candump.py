@@ -68,6 +68,8 @@ def parse(line: str) -> CandumpLine | None:
         if len(size) > 1 or int(size) > 8:  # of a CAN FD frame it has two digits
             return None
         remote, long, data = request is not None, None, "".join((octets or "").split())[:2 * int(size)]
+        if not remote and len(data) < 2 * int(size):
+            return None
     time_ns = None if seconds is None else (
         int(seconds) * NS + int(fraction.ljust(9, "0")) * (-1 if seconds.startswith("-") else 1))
     can_id, flags = int(identifier, 16), cdr.EXTENDED if len(identifier) == 8 else 0
