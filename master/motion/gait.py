@@ -118,7 +118,8 @@ def steps(
     with naming(name):
         step, state = control.step, control.initial()
     inputs = exchange.inputs
-    memory, share, more, place = gait_phase.initial(), 1.0 if felt is None else -1.0, (), 0.0
+    memory, share, place = gait_phase.initial(), 1.0 if felt is None else -1.0, 0.0
+    more: tuple[float, ...] = ()
     followed_s = math.inf if felt is None else 0.0
     for sample in range(first, last):
         i = sample % samples

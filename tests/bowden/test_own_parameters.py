@@ -99,7 +99,8 @@ def test_a_sweep_varies_them_and_a_trial_that_raises_ends_its_row(own: Path) -> 
 
 
 def test_a_worker_in_another_folder_finds_a_plug_in(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "own", raising=False)  # another test's plug-in of that name
+    monkeypatch.delitem(sys.modules, "own", raising=False)  # another test's plug-in of that name, and its folder
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if not (Path(path) / "own.py").exists()])
     row = planned("controller=own:Own", "controller.kp=95")[0]
     placed = sweep_rows.placed(row)
     assert placed["gait.controller"] == f"{own.resolve() / 'own.py'}:Own"
