@@ -152,7 +152,8 @@ def _averaged(found: Searched, at: PosteriorMode, variants: Sequence[Variant]) -
     """Return a mode with its evidence averaged over shapes and over the amplitude of the session's discrepancy."""
     if found.amplitude is None:
         return at
-    return replace(at, log_evidence=averaged(found.observed, found.prior, at, variants, found.amplitude))
+    return replace(at, log_evidence=averaged(found.observed, found.prior, at, variants, found.amplitude,
+                                             found.null if variants else None))
 
 
 def _keep(found: Searched, name: str, variant: Variant, fitted: PosteriorMode | None) -> bool:

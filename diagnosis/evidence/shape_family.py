@@ -37,14 +37,23 @@ def feature_sd(reference: ReferenceFit) -> Array:
     return np.asarray(np.sqrt(session) / reference.model.session_share)
 
 
-def averaged(observed: Observed, prior: Gaussian, at: PosteriorMode, variants: Sequence[Variant], amplitude: Array
-             ) -> float:
+def averaged(observed: Observed, prior: Gaussian, at: PosteriorMode, variants: Sequence[Variant], amplitude: Array,
+             null: PosteriorMode | None = None) -> float:
     """Return the log evidence of a mode, nats, averaged over shapes and amplitudes.
 
-    `amplitude`: 1σ of each feature's weight between benches.  `variants`: effects that the mode has.
+    `amplitude`: 1σ of each feature's weight between benches.  `variants`: effects that the mode has.  `null`: the mode
+    without an effect; what it gains by the same shapes is no evidence of the effect's equation, and is subtracted.
     """
-    model, wide = observed.model, observed.features * amplitude
     shape = shape_columns(observed, prior, at, variants)
+    evidence = at.log_evidence + _gained(observed, at, shape, amplitude)
+    if null is None or not shape.shape[1]:
+        return evidence
+    return evidence - _gained(observed, null, shape, amplitude) + _gained(observed, null, shape[:, :0], amplitude)
+
+
+def _gained(observed: Observed, at: PosteriorMode, shape: Array, amplitude: Array) -> float:
+    """Return by how much the average over shapes and amplitudes exceeds the log evidence of a mode, nats."""
+    model, wide = observed.model, observed.features * amplitude
     shares = model.shape_shares if shape.shape[1] else (0.0,)
     columns = np.concatenate([wide, shape], axis=1)
     solved = _solved(at, columns)
@@ -57,7 +66,7 @@ def averaged(observed: Observed, prior: Gaussian, at: PosteriorMode, variants: S
             scaled = scale[used] * pull[used]
             inner = np.eye(scaled.size) + scale[used, None] * square[np.ix_(used, used)] * scale[used]
             gains.append(0.5 * float(scaled @ np.linalg.solve(inner, scaled) - np.linalg.slogdet(inner)[1]))
-    return at.log_evidence + float(logsumexp(gains)) - float(np.log(len(gains)))
+    return float(logsumexp(gains)) - float(np.log(len(gains)))
 
 
 def shape_columns(observed: Observed, prior: Gaussian, at: PosteriorMode, variants: Sequence[Variant]) -> Array:
