@@ -4,8 +4,10 @@
 
 The equation of an effect differs from the bench's by a share s of the effect that depends on motion and load.
 Examples are another pivot, load or speed law, or spread of travels.  Readings of sensors have exact equations: s = 0
-for effects of sensors.  With and without an effect the discrepancy may change between sessions by a further share a of
-it.  Both are linear at a mode, so that each evidence is a closed form; they are averaged with equal weights.
+for effects of sensors.  Constants of the session have inexact equations, too: the gain of the model without an effect
+by shapes of their scatter is subtracted.  With and without an effect the discrepancy may change between sessions by a
+further share a of it.  Both are linear at a mode, so that each evidence is a closed form; they are averaged with equal
+weights.
 """
 
 from __future__ import annotations
@@ -38,17 +40,19 @@ def feature_sd(reference: ReferenceFit) -> Array:
 
 
 def averaged(observed: Observed, prior: Gaussian, at: PosteriorMode, variants: Sequence[Variant], amplitude: Array,
-             null: PosteriorMode | None = None) -> float:
+             null: PosteriorMode | None = None, sigmas: float = 2.0) -> float:
     """Return the log evidence of a mode, nats, averaged over shapes and amplitudes.
 
     `amplitude`: 1σ of each feature's weight between benches.  `variants`: effects that the mode has.  `null`: the mode
-    without an effect; what it gains by the same shapes is no evidence of the effect's equation, and is subtracted.
+    without an effect, whose gain by shapes of the same constants is subtracted.  `sigmas`: the largest departure of a
+    constant that counts there, in its 1σ between sessions; 95 % of sessions are within 2.
     """
     shape = shape_columns(observed, prior, at, variants)
     evidence = at.log_evidence + _gained(observed, at, shape, amplitude)
     if null is None or not shape.shape[1]:
         return evidence
-    return evidence - _gained(observed, null, shape, amplitude) + _gained(observed, null, shape[:, :0], amplitude)
+    own = shape_columns(observed, prior, null, variants, sigmas)
+    return evidence - _gained(observed, null, own, amplitude) + _gained(observed, null, own[:, :0], amplitude)
 
 
 def _gained(observed: Observed, at: PosteriorMode, shape: Array, amplitude: Array) -> float:
@@ -69,19 +73,25 @@ def _gained(observed: Observed, at: PosteriorMode, shape: Array, amplitude: Arra
     return float(logsumexp(gains)) - float(np.log(len(gains)))
 
 
-def shape_columns(observed: Observed, prior: Gaussian, at: PosteriorMode, variants: Sequence[Variant]) -> Array:
+def shape_columns(observed: Observed, prior: Gaussian, at: PosteriorMode, variants: Sequence[Variant],
+                  sigmas: float = np.inf) -> Array:
     """Return the response of the effects at a mode times each feature of the states, shape (data, features).
 
-    It has no columns for effects of sensors, and for a model without shape shares.
+    It has no columns for effects of sensors, and for a model without shape shares.  `sigmas`: the departure of each
+    constant that counts, at most, in its 1σ between sessions.
     """
     freed = [name for variant in variants for direction in variant.directions for name in direction.along]
     if not set(freed) & set(observed.model.extrapolated) or not any(observed.model.shape_shares):
         return np.zeros((observed.data.size, 0))
-    table, without, reference = at.table, at.q.copy(), prior.origin.copy()
+    table, moved, without, reference = at.table, at.q.copy(), at.q.copy(), prior.origin.copy()
     reference[list(table.free)] += prior.mean[:len(table.free)]
     rows = [table.index[name] for name in freed]
     without[rows] = reference[rows]
-    return np.asarray((observed.predicted(at.q) - observed.predicted(without))[:, None] * observed.features)
+    if np.isfinite(sigmas):
+        bound = np.zeros(at.q.size)
+        bound[list(table.free)] = sigmas * np.sqrt(np.diag(prior.covariance)[:len(table.free)])
+        moved[rows] = reference[rows] + np.clip(moved[rows] - reference[rows], -bound[rows], bound[rows])
+    return np.asarray((observed.predicted(moved) - observed.predicted(without))[:, None] * observed.features)
 
 
 def residual(at: PosteriorMode, columns: Array, shares: Sequence[float]) -> Array:

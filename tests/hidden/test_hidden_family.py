@@ -33,6 +33,11 @@ def told() -> list[Answer]:
     return [answer(job, judged=False) for job in QUICK]
 
 
+@pytest.mark.parametrize("job", [Job(7856, (), 2), Job(7985, (), 7), Job(7991, (), 9)])
+def test_shapes_of_a_session_name_nothing_on_a_bench_in_the_reference_condition(job: Job) -> None:
+    assert answer(job, judged=False).rivals == ()
+
+
 def test_no_wrong_name_is_given(told: list[Answer]) -> None:
     assert not [said(a) for a in told if a.wrong]
 
