@@ -79,7 +79,7 @@ def stock(turn: Turn) -> None:
 
 
 def pumped(turn: Turn) -> None:
-    """The same frames with two networks, pumped by hand."""
+    """Run a stock cycle with two networks that one thread pumps by hand."""
     with Stock(threads=False) as peer:
         repeated(turn, peer.cycle, UNITS)
 

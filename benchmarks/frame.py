@@ -1,4 +1,4 @@
-"""What every measure of this folder shares: processes that alternate, tables, and places in pages of docs.
+"""Frame of the measures of this folder: processes that alternate, tables, and places in pages of docs.
 
 Two pieces of work are compared in two processes that pass a token: only one runs at a time, in short turns, and counts
 its own processor time.  What else runs on the machine strikes neighbouring turns alike, and their ratio stays.

@@ -1,4 +1,4 @@
-"""What everything costs, in one table of paired ratios: docs/performance.md.
+"""Cost of each operation as a paired ratio, in one table: docs/performance.md.
 
     python -m benchmarks.performance                     # `make bench`: prints the table and writes it into the page
     python -m benchmarks.performance --rows cycle pdo    # these rows alone, printed

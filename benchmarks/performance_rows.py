@@ -137,7 +137,7 @@ def by_nodes() -> Iterator[Row]:
 
 
 def wire_load() -> Iterator[Row]:
-    """What a cycle takes of the wire."""
+    """Measure the share of the wire that a control cycle occupies, beside its bound."""
     bound = bus_load.refuse(wire(Network()))
     with tempfile.TemporaryDirectory() as folder:
         simulate(5, Path(folder))
@@ -163,7 +163,7 @@ def content() -> tuple[list[list[float]], list[list[bytes]]]:
 
 
 def recorded(recorder: trial.Recorder) -> Step:
-    """Return what the master does in one cycle with the recorder."""
+    """Return a function that records one control cycle as the master does."""
     def step(time_ns: int, values: list[float], frames: list[bytes]) -> None:
         for number, data in enumerate(frames):
             recorder.frame(time_ns + number * 60_000, 0x181 + number, data)

@@ -41,7 +41,7 @@ PEAKS_N, PERIODS_S = (40.0, 50.0, 60.0), (1.1, 2.0, 4.0)
 WITHOUT_MEMORY = (2, 1)
 """Gait cycles, and how many of them are left out, of the controllers that keep nothing from cycle to cycle."""
 LEARNING = {1.1: (9, 7), 2.0: (8, 6), 4.0: (5, 3)}
-"""The same for the one that learns, by period: at most seven cycles of learning, then two that count."""
+"""Cycles of the controller that learns, by period: at most seven cycles of learning, then two that count."""
 STIFF_N_M = 1e6
 """K at its upper bound: Δx is a micrometre a newton, so that START moves nothing during the walk."""
 FIVE_DEGREES = math.radians(5.0)

@@ -267,7 +267,7 @@ REMOVED = {
     "the whole day": "the whole day: tried on the day of the identification",
     "model structure": "all of them: no day, no noise, the faster drive; what is left is model structure",
 }
-"""What a share's case takes away, in words."""
+"""Source of error that each share's case removes, in words."""
 SOURCES = ("noise of START", "drive", "delay", "friction", "stiffness", "zero", "knee backlash")
 """The cases that take one source away."""
 
