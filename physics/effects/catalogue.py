@@ -1,7 +1,7 @@
 """The catalogue of effects, for plant, compensation, diagnosis, report and `docs/effects.md`.
 
-An effect is declared once, in `physics/effects_*.py` or at run time by `register`; readers of the catalogue name no
-effect in their own code.
+An effect is declared once, in `physics.effects.declarations` or at run time by `register`; readers of the catalogue name
+no effect in their own code.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Final
 
 from parameters import InputError
 from physics.converter import SensorParameters
-from physics.effects import drive_effects, friction_effects, path_effects, sensor_effects
+from physics.effects.declarations import EFFECTS
 from physics.effects.effect import Effect, EffectParameter, Trajectory, Values, unchanged, value_of
 from physics.plant.state_layout import PlantParameters
 
@@ -120,6 +120,5 @@ def complete(name: str, given: Values) -> dict[str, float]:
     return {**absent, **given}
 
 
-for _module in (friction_effects, path_effects, sensor_effects, drive_effects):
-    for _effect in _module.EFFECTS:
-        register(_effect)
+for _effect in EFFECTS:
+    register(_effect)

@@ -5,7 +5,7 @@ Types only. Values are named as in `physics.parameters`, all are SI.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -110,3 +110,16 @@ class Effect:
 def value_of(name: str) -> Submodel:
     """Return the submodel that passes the parameter `name` on unchanged."""
     return lambda values: values[name]
+
+
+def effect_of(name: str, site: str, law: str, source: str, parameters: Sequence[str], signature: str, words: str,
+              rivals: tuple[str, ...], experiment: str, *, inverse: Inverse = unchanged,
+              forward: Mapping[str, Submodel] | None = None, stale: Callable[[Values, float], Staleness] | None = None,
+              grid: Submodel | None = None) -> Effect:
+    """Return an effect of `parameters` of the table, each of which sets the plant's values that its row names.
+
+    `forward`: values of the plant that it sets besides.
+    """
+    sets = {target: value_of(own) for own in parameters for target in PARAMETERS[own].plant.split()}
+    return Effect(name, site, law, source, tuple(map(of_table, parameters)), {**sets, **(forward or {})}, signature,
+                  words, rivals, experiment, inverse, stale, grid)
