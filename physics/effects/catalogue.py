@@ -1,7 +1,7 @@
 """The catalogue of effects, for plant, compensation, diagnosis, report and `docs/effects.md`.
 
-An effect is declared once, in `physics.effects.declarations` or at run time by `register`; readers of the catalogue name
-no effect in their own code.
+An effect is declared once, in `physics.effects.declarations` or at run time by `register`; readers of the catalogue
+name no effect in their own code.
 """
 
 from __future__ import annotations
