@@ -22,7 +22,7 @@ def written(tmp_path: Path, text: str) -> Path:
 
 def test_at_most_thirty_two_scalars_and_no_sequence() -> None:
     names = calibration.scalars()
-    assert len(names) <= 32  # decisions 0022 and 0036
+    assert len(names) <= 32  # decision 0036
     assert all(isinstance(getattr(calibration.nominal(), name), float) for name in names)
 
 
