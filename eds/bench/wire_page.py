@@ -6,10 +6,9 @@ Values come from the code; this module adds only the sentences between them.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from eds import cia402
 from eds.bench import bus_load
 from eds.bench.bench_network import MASTER, Network, WireLayout, wire
 from eds.bench.bus_load import Kind
@@ -64,16 +63,7 @@ tension straight from START's own TPDO, and so holds the tension limit whatever 
 | node | PDO | COB-ID | type | deadline, ms | mapping words |
 |---|---|---|---|---|---|
 """
-_STATES = """
-## The drives' state machine
-
-CiA 402-2, as `eds/cia402.py` holds it in one table; numbers are the profile's. Transition 13 leaves every other state.
-
-```mermaid
-stateDiagram-v2
-"""
-_UNITS = """\
-
+_UNITS = """
 ## Units on the wire
 
 Servo: drum radius 20 mm; position user unit 1 µm of rope (0x608F 131072 inc/rev, 0x6091 1:1, 0x6092 1256637 µm per
@@ -87,24 +77,7 @@ Sensors: 0x6131 newton (0x00210000), 0x6132 = 2 decimals, so that 0x7130 and 0x9
 def page(network: Network = Network()) -> str:  # noqa: B008
     """Return the whole page for a network."""
     built = wire(network)
-    return "".join((_head(built), _cycle(built), _plans(built), _pdos(built), _STATES, diagram(), "```\n", _UNITS))
-
-
-def diagram() -> str:
-    """Return the state machine's table as lines of a mermaid state diagram; parallel rows are one arrow."""
-    return "".join(f"    {line}\n" for line in _arrows())
-
-
-def _arrows() -> Iterator[str]:
-    for state in cia402.State:
-        yield f"{state.name}: {state.title}"
-    for row in cia402.TRANSITIONS:
-        words = " / ".join(event.value for event in row.events)
-        if row.number == 13:
-            yield f"OPERATION_ENABLED --> {row.target.name}: 13 {words}"
-            continue
-        for source in row.sources:
-            yield f"{source.name if source else '[*]'} --> {row.target.name}: {row.number} {words}"
+    return "".join((_head(built), _cycle(built), _plans(built), _pdos(built), _UNITS))
 
 
 def _head(built: WireLayout) -> str:

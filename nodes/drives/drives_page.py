@@ -10,8 +10,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from eds.bench.wire_page import diagram
-from eds.cia402 import TRANSITIONS
+from eds.cia402 import TRANSITIONS, State
 from nodes.drives.homing import BITS
 from nodes.drives.state_machine import GUARDS
 
@@ -19,8 +18,14 @@ _BLOCK: Final = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def states() -> str:
-    """Return the diagram of the CiA 402 state machine."""
-    return f"```mermaid\nstateDiagram-v2\n{diagram()}```\n"
+    """Return the state machine's table as a mermaid state diagram; parallel rows are one arrow."""
+    lines = [f"    {state.name}: {state.title}\n" for state in State]
+    for row in TRANSITIONS:
+        sources = [State.OPERATION_ENABLED] if row.number == 13 else row.sources
+        words = " / ".join(event.value for event in row.events)
+        lines += [f"    {source.name if source else '[*]'} --> {row.target.name}: {row.number} {words}\n"
+                  for source in sources]
+    return f"```mermaid\nstateDiagram-v2\n{''.join(lines)}```\n"
 
 
 def rows() -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from nodes.drives.drives_page import page
+from eds.cia402 import TRANSITIONS, State
+from nodes.drives.drives_page import page, states
 
 HERE = Path(__file__).parent
 TEXT = (HERE.parents[1] / "docs" / "drives.md").read_text(encoding="utf-8")
@@ -23,3 +24,9 @@ def test_generated_parts_are_up_to_date() -> None:
 
 def test_every_test_named_exists_and_every_test_is_named() -> None:
     assert defined() == NAMED
+
+
+def test_the_diagram_shows_every_state_and_row() -> None:
+    arrows = [line.split(": ") for line in states().splitlines() if "-->" in line]
+    assert {int(words.split()[0]) for _, words in arrows} == {row.number for row in TRANSITIONS}
+    assert {end for ends, _ in arrows for end in ends.split() if end not in ("-->", "[*]")} == {s.name for s in State}
