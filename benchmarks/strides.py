@@ -1,12 +1,11 @@
 """Walks of strides that differ, on own benches and benches of the family, stride by stride: docs/strides.md.
 
-    python -m benchmarks.strides [DIRECTORY] [--walk KIND:SERIAL:SEED:MIGRATION …] [--strides 60]
+    python -m benchmarks.strides [DIRECTORY] [--minutes 7]
 
-KIND is own or family, a bench that is identified on day 0 and walked on day 1, or nominal: the own plant on day 0, by
-the packaged calibration.  A walk plays the recorded strides of DIRECTORY (../shared/data/gait unless told) in random
-order, with stumbles, stops and a seat, while the rope's zero moves by MIGRATION mm; a plug-in's plant, as those of the
-family, cannot move it.  Without `--walk` the page is written from docs/strides.csv, its pictures from the recordings
-that are kept.
+A walk of `WALKS` plays the recorded strides of DIRECTORY (../shared/data/gait unless told) in random order, with
+stumbles, stops and a seat, while the rope's zero moves.  A bench is identified on day 0, or its calibration is that of
+docs/unseen.csv, and walked on day 1.  Walks that docs/strides.csv lacks are walked until the minutes are over; then
+the page is written, its pictures from the recordings that are kept.
 """
 
 from __future__ import annotations
@@ -17,22 +16,29 @@ import json
 import math
 import sys
 import tempfile
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks import frame
+from benchmarks import family_walks, frame
 from benchmarks.frame import OUT, ROOT, markdown
 
 TABLE, PAGE = ROOT / "docs" / "strides.csv", ROOT / "docs" / "strides.md"
 PEAK_N, PERIOD_S = 40.0, 1.2
+STRIDES = 60
 INTERRUPTED = {"stumbles": 2, "stops": 2, "sits": 1}
+MIGRATION_MM, WALK_S = 5.0, 85.0
+"""Shift of the rope's zero in a walk, mm, which takes about so long, s."""
+WALKS: tuple[dict[str, Any], ...] = tuple(
+    {"kind": kind, "serial": serial, "seed": 1000 + i, "migration_mm": MIGRATION_MM if i % 2 else -MIGRATION_MM}
+    for i, (kind, serial) in enumerate([*(("own", serial) for serial in (1, 3, 5, 7) for _ in range(5)),
+                                        *(("family", serial) for serial in range(0, 40, 2))]))
+"""Walks of the page: kind and serial of a bench, seed of the walk and of the noise, migration, mm."""
 MOVES_HZ = 0.001
-"""Frequency of the sine by whose beginning the zero moves, Hz: nearly a straight line in a walk of 85 s."""
-SHARE = 0.45
-"""Part of the sine's amplitude by which the zero moves between the first stride, at 10 s, and the last."""
+"""Frequency of the sine by whose beginning the own plant's zero moves, Hz: nearly a straight line in a walk."""
 RMSE, TRUE_RMSE = "rmse_percent", "true_phase_rmse_percent"
 BARS = {"median": 0.6, "percentile_95": 1.2, "worst": 5.0}
 PHASE_BAR, OFF_BAR_MS = 1.5, 100.0
@@ -59,66 +65,68 @@ def strides_of(directory: Path, path: Path) -> Path:
 
 
 def calibration(kind: str, serial: int) -> Path:
-    """Return the calibration of a bench, identified on day 0 where it is missing."""
-    from benchmarks.family_walks import bench_row
+    """Return the calibration of a bench: that of docs/unseen.csv, else identified on day 0."""
     from bowden.sweep import row_trial
+    from physics.calibration import write
 
-    kept = OUT / f"strides-{kind}-{serial}.toml"
-    if not kept.exists():
-        reason, text = row_trial.identify(row_trial.bench_of(bench_row(kind, serial, 0)))
+    kept, known = OUT / f"strides-{kind}-{serial}.toml", family_walks.read(ROOT / "docs" / "unseen.csv")
+    if kept.exists():
+        return kept
+    if (kind, serial) in known:
+        text = write(family_walks.calibration_of(known[kind, serial]))
+    else:
+        reason, text = row_trial.identify(row_trial.bench_of(family_walks.bench_row(kind, serial, 0)))
         if reason is not None:
             raise SystemExit(f"{kind} {serial}: not identified: {reason}")
-        kept.write_text(text, encoding="utf-8")
+    kept.write_text(text, encoding="utf-8")
     return kept
 
 
 def moving_zero(mm: float) -> dict[str, Any]:
-    """Return the plant model of a bench whose rope's zero moves by `mm` in a walk."""
-    size = 1e-3 * mm / SHARE
-    return {} if not mm else {"terms": [{
+    """Return the plant model of an own bench whose rope's zero moves by `mm` in a walk."""
+    size = 1e-3 * mm / (2.0 * math.pi * MOVES_HZ * WALK_S)
+    return {"terms": [{
         "carrier": "zero", "modulation": "time_sine", "parameters": {"hz": MOVES_HZ}, "coefficients": [size, 0.0],
         "intervals": [[size, size], [0.0, 0.0]], "unit": "m", "part": "rope", "words": "zero of the rope"}]}
 
 
-def walked(kind: str, serial: int, seed: int, mm: float, strides: int, knee: Path) -> dict[str, Any]:
+def name(walk: Mapping[str, Any]) -> str:
+    """Return the name of a walk."""
+    return f"{walk['kind']} {walk['serial']}, seed {walk['seed']}"
+
+
+def recording(walk: Mapping[str, Any]) -> Path:
+    """Return the path of a walk's recording."""
+    return OUT / f"strides-{walk['kind']}-{walk['serial']}-{walk['seed']}.mcap"
+
+
+def walked(walk: Mapping[str, Any], knee: Path) -> dict[str, Any]:
     """Walk on one bench; return its row."""
     import bowden
-    from benchmarks.family_walks import bench_row
     from bowden.bench import buses
     from bowden.sweep.rows import plant_model
 
-    nominal = kind == "nominal"
-    row = bench_row("own" if nominal else kind, serial, 0 if nominal else 1)
-    model = {**plant_model(row), **moving_zero(mm)}
-    bus = buses.simulated(int(row["bench.serial"]), int(row["bench.day"]), seed, plant=str(row["bench.plant"]),
-                          plant_model=model or None)
-    output = OUT / f"strides-{kind}-{serial}-{seed}-{mm:g}.mcap"
-    asked = bowden.Experiment(knee=knee, peak_n=PEAK_N, period_s=PERIOD_S, strides=strides, controller="extended",
-                              model=None if nominal else calibration(kind, serial), **INTERRUPTED)
-    found = bowden.run(asked, bus=bus, output=output, overwrite=True).figures
-    return {"kind": kind, "serial": serial, "seed": seed, "migration_mm": mm, "outcome": found["outcome"],
-            "stop_reason": found["stop_reason"], "walk": found["walk"]}
+    kind, serial, mm = walk["kind"], walk["serial"], walk["migration_mm"]
+    row = family_walks.bench_row(kind, serial, 1)
+    model, plant = plant_model(row), str(row["bench.plant"])
+    if kind == "family":
+        plant += f"_{'up' if mm > 0.0 else 'down'}_{round(1e3 * abs(mm) / WALK_S)}"
+    else:
+        model = {**model, **moving_zero(mm)}
+    bus = buses.simulated(int(row["bench.serial"]), int(row["bench.day"]), walk["seed"], plant=plant,
+                          plant_model=model)
+    asked = bowden.Experiment(knee=knee, peak_n=PEAK_N, period_s=PERIOD_S, strides=STRIDES, controller="extended",
+                              model=calibration(kind, serial), **INTERRUPTED)
+    found = bowden.run(asked, bus=bus, output=recording(walk), overwrite=True).figures
+    return {**walk, "outcome": found["outcome"], "stop_reason": found["stop_reason"], "walk": found["walk"]}
 
 
-def table() -> list[dict[str, Any]]:
-    """Return the walks that are kept, each bench, seed and migration once."""
+def table() -> dict[str, dict[str, Any]]:
+    """Return the rows of docs/strides.csv by the names of their walks."""
     if not TABLE.exists():
-        return []
+        return {}
     with TABLE.open(newline="", encoding="utf-8") as file:
-        rows = [json.loads(text) for _, text in csv.reader(file)]
-    return list({name(row): row for row in rows}.values())
-
-
-def name(row: Mapping[str, Any]) -> str:
-    """Return the name of a walk, as `--walk` takes it."""
-    return f"{row['kind']}:{row['serial']}:{row['seed']}:{row['migration_mm']:g}"
-
-
-def enter(row: Mapping[str, Any]) -> None:
-    """Enter a walk in the table, in place of an earlier one of its name."""
-    rows = {name(each): each for each in table()} | {name(row): dict(row)}
-    with TABLE.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows((key, json.dumps(each)) for key, each in rows.items())
+        return {key: json.loads(text) for key, text in csv.reader(file)}
 
 
 def counted(rows: Sequence[Mapping[str, Any]], key: str) -> list[float]:
@@ -197,18 +205,12 @@ def strides_by_rank(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, Mappin
             for label, (rmse, walk, stride, i) in chosen]
 
 
-def recording(row: Mapping[str, Any]) -> Path:
-    """Return the path of a walk's recording."""
-    return OUT / f"strides-{row['kind']}-{row['serial']}-{row['seed']}-{row['migration_mm']:g}.mcap"
-
-
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Draw best, median and worst stride: force asked for, true END, and desired force at the true phase."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     from bowden.pages.figures import true_end
-    from physics.reference import paper_reference
     from trial import read
 
     chosen = strides_by_rank(rows)
@@ -216,13 +218,11 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         return
     figure = Figure(figsize=(12.0, 3.6), layout="constrained")
     FigureCanvasSVG(figure)
-    reference = paper_reference(PEAK_N, PERIOD_S)
     for axes, (label, row, stride) in zip(figure.subplots(1, 3, sharey=True), chosen, strict=True):
         kept = read.open(recording(row))
         at = kept.columns["cycle"] == stride
         time_s = kept.columns["time_s"][at] - kept.columns["time_s"][at][0]
-        desired = [reference.desired_force(percent / 100.0) for percent in kept.columns["stride_percent"][at].tolist()]
-        axes.plot(time_s, desired, color="0.7", label="desired, true phase")
+        axes.plot(time_s, kept.columns["true_phase_force_n"][at], color="0.7", label="desired, true phase")
         axes.plot(time_s, kept.columns["desired_force_n"][at], color="tab:orange", label="asked for")
         axes.plot(time_s, true_end(recording(row).with_suffix(".truth.mcap"), kept)[at], color="tab:blue", lw=1.0,
                   label="END")
@@ -235,21 +235,23 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Walk what is asked for, write the table and the page."""
+    """Walk what the table lacks, write the table and the page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.strides")
     parser.add_argument("directory", nargs="?", type=Path, default=ROOT.parent / "shared" / "data" / "gait")
-    parser.add_argument("--walk", nargs="*", default=[], metavar="KIND:SERIAL:SEED:MIGRATION")
-    parser.add_argument("--strides", type=int, default=60)
+    parser.add_argument("--minutes", type=float, default=0.0)
     options = parser.parse_args(arguments)
     OUT.mkdir(parents=True, exist_ok=True)
+    sys.path.insert(0, str(ROOT))  # the family is a plug-in of the tests
+    began, lacking = time.monotonic(), [walk for walk in WALKS if name(walk) not in table()]
     with tempfile.TemporaryDirectory() as folder:
-        for asked in options.walk:
-            kind, serial, seed, mm = asked.split(":")
-            knee = strides_of(options.directory, Path(folder, "strides.csv"))
-            row = walked(kind, int(serial), int(seed), float(mm), options.strides, knee)
-            enter(row)
+        for walk in lacking:
+            if time.monotonic() - began > 60.0 * options.minutes:
+                break
+            row = walked(walk, strides_of(options.directory, Path(folder, "strides.csv")))
+            with TABLE.open("a", newline="", encoding="utf-8") as file:
+                csv.writer(file, lineterminator="\n").writerow([name(walk), json.dumps(row)])
             print(*described(row), sep=" | ", flush=True)
-    rows = table()
+    rows = list(table().values())
     PAGE.write_text(page(rows), encoding="utf-8")
     draw(rows, PAGE.with_suffix(".svg"))
 

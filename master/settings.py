@@ -54,9 +54,8 @@ class Walk:
     phase: str = parameter("", "", "what the desired force follows: clock, or felt, from the knee angle alone; empty: "
                            "felt with strides, else clock", source="docs/walking.md")
     departure_rad: float = parameter(
-        0.03, "rad", "standard deviation of a stride from the mean stride at equal phase", low=1e-3, high=0.2,
-        source="eleven strides of one walker: 1.7 degrees; docs/walking.md")
-
+        0.022, "rad", "standard deviation of a stride from the mean stride at equal phase", low=1e-3, high=0.2,
+        source="eleven strides of one walker, in stance: 1.3 degrees; docs/strides.md")
     migration_m: float = parameter(
         6e-3, "m", "shift of the rope's zero in a trial that is followed where strides differ: a garment migrates",
         low=0.0, high=0.02, source="assumed; beyond it the trial ends")

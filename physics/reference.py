@@ -29,25 +29,47 @@ class Desired(NamedTuple):
     force_rate_n_s: float
 
 
+class ForceSurface(NamedTuple):
+    """Desired force by phase and knee angle: N at the phases of a cycle (rows) and rising knee angles, rad (columns).
+
+    On straight lines between; beyond the first and the last angle that of the nearest one.
+    """
+
+    knee_rad: Array
+    force_n: Array
+
+    def at(self, percent: Array, knee_rad: Array) -> Array:
+        """Return the force, N, at each phase, %, and knee angle, rad."""
+        row, column = np.mod(percent, 100.0) / _STEP, np.interp(knee_rad, self.knee_rad, np.arange(self.knee_rad.size))
+        i, j = row.astype(np.intp), np.minimum(column.astype(np.intp), self.knee_rad.size - 2)
+        u, v, f = row - i, column - j, self.force_n
+        return np.asarray((1.0 - u) * ((1.0 - v) * f[i, j] + v * f[i, j + 1])
+                          + u * ((1.0 - v) * f[i + 1, j] + v * f[i + 1, j + 1]))
+
+
 class Reference:
     """One desired motion and force, periodic in `period_s`; `phase` counts cycles and may exceed 1."""
 
-    __slots__ = ("_angle", "_force", "_rate", "_sum_rad", "departs_from_eq1_rad", "peak_n", "period_s")
+    __slots__ = ("_angle", "_force", "_rate", "_sum_rad", "departs_from_eq1_rad", "peak_n", "period_s", "surface")
 
     def __init__(
-        self, period_s: float, angle: tuple[Array, Array], force: tuple[Array, Array, Array]
+        self, period_s: float, angle: tuple[Array, Array], force: tuple[Array, Array, Array] | ForceSurface
     ) -> None:
         """Tabulate one cycle at `CYCLE_POINTS` + 1 equal phases.
 
         `angle`: value (rad) and slope (rad per %) at each point. `force`: value (N), and slope (N per %)
-        leaving and reaching each point, which differ where the curve has a corner.
+        leaving and reaching each point, which differ where the curve has a corner; or the force by phase and angle,
+        which is tabulated along `angle`.
         """
+        self.surface = force if isinstance(force, ForceSurface) else None
+        if isinstance(force, ForceSurface):
+            force = recorded_force(_PERCENT, force.at(_PERCENT, angle[0]))
         self.period_s = period_s
         self._sum_rad: float | None = None
         self._rate = CYCLE_POINTS / period_s
         self._angle = _cubics(angle[0], angle[1], angle[1])
         self._force = _cubics(*force)
-        self.peak_n = float(np.max(force[0]))
+        self.peak_n = float(np.max(force[0] if self.surface is None else self.surface.force_n))
         self.departs_from_eq1_rad = float(np.max(np.abs(angle[0] - laws.knee_angle(_PERCENT))))
 
     def mirrored(self, sum_rad: float, share: float) -> Reference:
@@ -60,6 +82,8 @@ class Reference:
         made._angle, made._sum_rad = self._angle, sum_rad
         made._force = tuple((share * a, share * b, share * c, share * d) for a, b, c, d in self._force)
         made.departs_from_eq1_rad = self.departs_from_eq1_rad
+        made.surface = self.surface and ForceSurface(
+            sum_rad - self.surface.knee_rad[::-1], share * self.surface.force_n[:, ::-1])
         return made
 
     def knee_angle(self, phase: float) -> float:
@@ -162,6 +186,12 @@ def recorded_force(percent: Array, force_n: Array) -> tuple[Array, Array, Array]
     )
     value, slope = around(_PERCENT), around(_PERCENT, 1)
     return value, slope, slope
+
+
+def recorded_surface(percent: Array, knee_rad: Array, force_n: Array) -> ForceSurface:
+    """Return a desired force, N by percent (rows) and rising knee angle (columns), at the phases of a cycle."""
+    columns = [recorded_force(percent, column)[0] for column in np.asarray(force_n).T]
+    return ForceSurface(np.asarray(knee_rad, dtype=np.float64), np.stack(columns, axis=1))
 
 
 def _check_cycle(t: Array, y: Array) -> None:

@@ -101,25 +101,16 @@ def mean(strides: Sequence[Stride]) -> tuple[Array, Array]:
     return percent, np.mean([_curve(stride)(percent / 100.0) for stride in strides], axis=0)
 
 
-def spread(strides: Sequence[Stride]) -> float:
-    """Return the standard deviation of strides about their mean at equal phase, rad; NaN of fewer than three."""
-    if len(strides) < 3:
-        return math.nan
-    percent, middle = mean(strides)
-    apart = np.array([_curve(stride)(percent / 100.0) for stride in strides]) - middle
-    return float(np.sqrt(np.sum(apart**2) / (apart.size - percent.size)))
-
-
-def walk(strides: Sequence[Stride], variation: Variation, lap: Array, period_s: float, first: int, rest: int
-         ) -> StrideWalk:
+def walk(strides: Sequence[Stride], variation: Variation, lap: Array, period_s: float, first: int, rest: int,
+         laps: int = 2) -> StrideWalk:
     """Draw a walk; `lap`: the mean stride's knee angle by sample of `period_s`, closed, as the controller expects it.
 
-    The knee is led through the mean stride from its sample `first` − 2 laps up to sample 0, and for `rest` samples
+    The knee is led through the mean stride from its sample `first` − `laps` laps up to sample 0, and for `rest` samples
     after the walk.  Raises `InputError` for more interruptions than the strides have room for.
     """
     random = np.random.Generator(np.random.Philox(variation.seed))
     parts = _parts(strides, variation, lap.size, period_s, random)
-    before = 2 * lap.size - first
+    before = laps * lap.size - first
     lead = _Part(WALK, before, lambda t: lap[(t.astype(np.int64) + first) % lap.size],
                  lambda t: ((t + first) / lap.size) % 1.0, _half(lap.size))
     out = _Part(WALK, rest, lambda t: lap[t.astype(np.int64) % lap.size], lambda t: t / lap.size, _half(lap.size))

@@ -7,7 +7,6 @@ encoding are detected.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from itertools import pairwise
@@ -91,27 +90,44 @@ class Curve:
         return f"{self.path}: {', '.join(parts)}."
 
 
+class ForceTable(NamedTuple):
+    """A desired force by phase and knee angle: rising percents of the gait, rising angles, rad, and N by both."""
+
+    percent: Floats
+    knee_rad: Floats
+    force_n: Floats
+
+    def note(self) -> str:
+        """Return in half a sentence what the table covers."""
+        low, high = (math.degrees(self.knee_rad[i]) for i in (0, -1))
+        return f"desired force at {len(self.percent)} phases and {len(self.knee_rad)} knee angles, {low:g} … {high:g}°"
+
+
+class _Samples(NamedTuple):
+    """Samples of a curve in a file, without missing values."""
+
+    path: Path
+    column: str
+    axis: Abscissa
+    along: Floats
+    values: Floats
+    bridged: int
+    trimmed: int
+
+    def curve(self, begin: int = 0, end: int | None = None, strides: int = 1) -> Curve:
+        """Return samples as one gait cycle."""
+        along, values = self.along[begin:end], self.values[begin:end]
+        stride_s, percent = math.nan, along
+        if self.axis.name != "gait_percent":
+            stride_s = float(along[-1] - along[0]) * len(along) / (len(along) - 1)
+            percent = 100 * (along - along[0]) / stride_s
+        return Curve(self.path, self.column, percent, values, strides, stride_s, float(along[0]), self.bridged,
+                     self.trimmed)
+
+
 def read_curve(path: str | Path, column: str) -> Curve:
     """Read `column` ("knee_angle_rad" or "desired_force_n") from a CSV file; raises `InputError`."""
-    path = Path(path)
-    sheet = csv_file.read(path)
-    axis, quantity, along_name = _header(sheet, path, column)
-    numbered = _numbered(sheet, path)
-    if numbered and axis.name == "gait_percent":
-        return dataclasses.replace(_stride_of(sheet, numbered[0], column, path), strides=len(numbered))
-    along, values = _numbers(sheet, along_name, quantity, path)
-    along, values, trimmed = _trim(along, values)
-    if len(along) < LEAST_ROWS:
-        raise InputError(f"{path}: {len(along)} rows with a value, expected {LEAST_ROWS} or more; give one gait cycle.")
-    bridged = int(np.isnan(values).sum())
-    along, values = _bridge(along, values, axis, path)
-    if axis.name == "gait_percent":
-        _covers(along, path)
-        return Curve(path, column, along, values, 1, math.nan, float(along[0]), bridged, trimmed)
-    begin, end, strides = _stride(along, values, column)
-    stride_s = float(along[end - 1] - along[begin]) * (end - begin) / (end - begin - 1)
-    percent = 100 * (along[begin:end] - along[begin]) / stride_s
-    return Curve(path, column, percent, values[begin:end], strides, stride_s, float(along[begin]), bridged, trimmed)
+    return _read(Path(path), column)[1]
 
 
 def read_strides(path: str | Path) -> list[Curve]:
@@ -122,18 +138,67 @@ def read_strides(path: str | Path) -> list[Curve]:
     """
     path, column = Path(path), "knee_angle_rad"
     sheet = csv_file.read(path)
-    axis, quantity, along_name = _header(sheet, path, column)
     numbered = _numbered(sheet, path)
     if numbered:
-        return [_stride_of(sheet, rows, column, path) for rows in numbered]
-    whole = read_curve(path, column)
-    if axis.name == "gait_percent" or whole.strides == 1:
-        return [whole]
-    along, values, _trimmed = _trim(*_numbers(sheet, along_name, quantity, path))
+        return [_samples(sheet, path, column, rows).curve() for rows in numbered]
+    samples, first = _read(path, column, sheet)
+    if first.strides == 1:
+        return [first]
+    return [samples.curve(a, b) for a, b in pairwise(_seams(samples.along, samples.values, first))]
+
+
+def read_desired(path: str | Path) -> Curve | ForceTable:
+    """Read a desired force: a curve, or a table that has each `gait_percent` at several knee angles.
+
+    Raises `InputError`.
+    """
+    path = Path(path)
+    sheet = csv_file.read(path)
+    knee = next((quantity for quantity in (KNEE_RAD, KNEE_DEG) if quantity.name in sheet), None)
+    if knee is None or "gait_percent" not in sheet or len(set(sheet.column("gait_percent"))) == len(sheet.rows):
+        return read_curve(path, FORCE.name)
+    percent, (angle, force) = sheet.column("gait_percent"), (_si(sheet, each, path) for each in (knee, FORCE))
+    for name, values in (("gait_percent", percent), (knee.name, angle), (FORCE.name, force)):
+        if np.isnan(values).any():
+            raise InputError(f"{path}: row {sheet.rows[int(np.flatnonzero(np.isnan(values))[0])]} has no {name}; every "
+                             "row of a table by phase and knee angle needs it.")
+    (phases, row), (angles, place) = (np.unique(values, return_inverse=True) for values in (percent, angle))
+    table = np.full((len(phases), len(angles)), np.nan)
+    table[row, place] = force
+    if np.isnan(table).any() or table.size != len(force):
+        raise InputError(f"{path}: {len(force)} rows for {len(phases)} phases and {len(angles)} knee angles; give one "
+                         "row for each phase and angle.")
+    _covers(phases, path)
+    gap = float(np.diff(phases).max())
+    if gap > AXES["gait_percent"].longest_gap:
+        raise InputError(f"{path}: gait_percent has steps of {gap:g} %, at most {AXES['gait_percent'].longest_gap:g} "
+                         "are bridged; give a finer table.")
+    return ForceTable(phases, angles, table)
+
+
+def _read(path: Path, column: str, sheet: LabTable | None = None) -> tuple[_Samples, Curve]:
+    """Return the samples of a file, and the first stride of them."""
+    sheet = csv_file.read(path) if sheet is None else sheet
+    numbered = _numbered(sheet, path) if _header(sheet, path, column)[0].name == "gait_percent" else []
+    samples = _samples(sheet, path, column, *numbered[:1])
+    if samples.axis.name == "gait_percent":
+        return samples, samples.curve(strides=max(1, len(numbered)))
+    return samples, samples.curve(*_stride(samples.along, samples.values, column))
+
+
+def _samples(sheet: LabTable, path: Path, column: str, rows: slice | None = None) -> _Samples:
+    """Return the samples of a file, or of one numbered stride of it, without those that lack a value."""
+    axis, quantity, along_name = _header(sheet, path, column)
+    along, values, trimmed = _trim(*_numbers(sheet, along_name, quantity, path, rows or slice(None)))
+    if len(along) < LEAST_ROWS:
+        where, what = (f", stride from row {sheet.rows[rows.start]}", "leave it out") if rows else (
+            "", "give one gait cycle")
+        raise InputError(f"{path}{where}: {len(along)} rows with a value, expected {LEAST_ROWS} or more; {what}.")
+    bridged = int(np.isnan(values).sum())
     along, values = _bridge(along, values, axis, path)
-    return [Curve(path, column, 100.0 * (along[a:b] - along[a]) / (along[b] - along[a]), values[a:b], 1,
-                  float(along[b] - along[a]), float(along[a]), 0, 0)
-            for a, b in pairwise(_seams(along, values, whole))]
+    if axis.name == "gait_percent":
+        _covers(along, path)
+    return _Samples(path, column, axis, along, values, bridged, trimmed)
 
 
 def _seams(along: Floats, values: Floats, first: Curve) -> list[int]:
@@ -165,23 +230,6 @@ def _numbered(sheet: LabTable, path: Path) -> list[slice]:
     return found if len(found) > 1 else []
 
 
-def _stride_of(sheet: LabTable, rows: slice, column: str, path: Path) -> Curve:
-    """Return one numbered stride of a file."""
-    axis, quantity, along_name = _header(sheet, path, column)
-    along, values, trimmed = _trim(*_numbers(sheet, along_name, quantity, path, rows))
-    where = f"{path}, stride from row {sheet.rows[rows.start]}"
-    if len(along) < LEAST_ROWS:
-        raise InputError(f"{where}: {len(along)} rows with a value, expected {LEAST_ROWS} or more; leave it out.")
-    bridged = int(np.isnan(values).sum())
-    along, values = _bridge(along, values, axis, path)
-    if axis.name == "gait_percent":
-        _covers(along, path)
-        return Curve(path, column, along, values, 1, math.nan, float(along[0]), bridged, trimmed)
-    stride_s = float(along[-1] - along[0]) * len(along) / (len(along) - 1)
-    return Curve(path, column, 100.0 * (along - along[0]) / stride_s, values, 1, stride_s, float(along[0]), bridged,
-                 trimmed)
-
-
 def _header(sheet: LabTable, path: Path, column: str) -> tuple[Abscissa, Quantity, str]:
     for axis, quantity in ACCEPTED[column]:
         if axis in sheet and quantity.name in sheet:
@@ -193,11 +241,7 @@ def _header(sheet: LabTable, path: Path, column: str) -> tuple[Abscissa, Quantit
 
 def _numbers(sheet: LabTable, axis: str, quantity: Quantity, path: Path, rows: slice = slice(None)
              ) -> tuple[Floats, Floats]:
-    along, values = sheet.column(axis)[rows], sheet.column(quantity.name)[rows] * quantity.factor
-    numbers = sheet.rows[rows]
-    stated = sheet.unit(quantity.name)
-    if stated and stated.replace("°", "deg") != quantity.unit:
-        raise InputError(f"{path}: {quantity.name} is in {stated} by the row of units; rename or convert the column.")
+    along, values, numbers = sheet.column(axis)[rows], _si(sheet, quantity, path, rows), sheet.rows[rows]
     unknown = np.flatnonzero(np.isnan(along))
     if len(unknown):
         raise InputError(f"{path}: row {numbers[unknown[0]]} has no {axis}; every row needs it.")
@@ -206,11 +250,20 @@ def _numbers(sheet: LabTable, axis: str, quantity: Quantity, path: Path, rows: s
         at = falls[0] + 1
         raise InputError(f"{path}: row {numbers[at]}: {axis} = {along[at]:g} does not rise, {along[at - 1]:g} came "
                          "before; sort the rows.")
+    return along, values
+
+
+def _si(sheet: LabTable, quantity: Quantity, path: Path, rows: slice = slice(None)) -> Floats:
+    """Return a column in SI, checked to be believable."""
+    values = sheet.column(quantity.name)[rows] * quantity.factor
+    stated = sheet.unit(quantity.name)
+    if stated and stated.replace("°", "deg") != quantity.unit:
+        raise InputError(f"{path}: {quantity.name} is in {stated} by the row of units; rename or convert the column.")
     odd = np.flatnonzero((values < quantity.low) | (values > quantity.high))
     if len(odd):
-        raise InputError(f"{path}: row {numbers[odd[0]]}: {quantity.name} = {values[odd[0]] / quantity.factor:g} is "
-                         f"not believable: {quantity.doubt}.")
-    return along, values
+        raise InputError(f"{path}: row {sheet.rows[rows][odd[0]]}: {quantity.name} = "
+                         f"{values[odd[0]] / quantity.factor:g} is not believable: {quantity.doubt}.")
+    return values
 
 
 def _trim(along: Floats, values: Floats) -> tuple[Floats, Floats, int]:

@@ -8,7 +8,7 @@ holds the error of the phase as well.  END is true END where it is known, else t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,27 +16,35 @@ import numpy as np
 from trial.metrics import IDLE_OUTSIDE_PERCENT, Floats, Mask, between, lowpass, relative_rmse
 
 NEEDED = ("cycle", "stride_percent", "gait_percent", "desired_force_n", "phase_doubt_percent", "phase_share",
-          "tension_end_n")
+          "true_phase_force_n", "tension_end_n")
+SHOWN = ("stride", "kind", "period_s", "rmse_percent", "true_phase_rmse_percent", "phase_error_rms_percent", "idle_n",
+         "off_phase_ms")
+"""Figures of a stride that a table shows."""
 OFF_N, APART_PERCENT = 3.0, 10.0
 """END beyond which a force without a phase counts, N; distance of felt and true phase from which on they are apart."""
 NO_PHASE_PERCENT = 28.8
 """Standard deviation of a phase that is not known: evenly spread over a gait, 100/√12."""
 
 
+def columns_of(blocks: Iterable[Mapping[str, Floats]]) -> dict[str, Floats]:
+    """Return the columns `NEEDED` of successive blocks of a trial."""
+    parts = list(blocks)
+    return {name: np.concatenate([part[name] for part in parts] or [np.empty(0)]) for name in NEEDED}
+
+
 def figures(
-    columns: Mapping[str, Floats], true_desired_n: Floats, *, peak_n: float, rate_hz: float, settle: int,
+    columns: Mapping[str, Floats], *, peak_n: float, rate_hz: float, settle: int,
     true_end_n: Floats | None = None,
 ) -> dict[str, Any]:
     """Return the figures of a walk, by their `--json` names, and those of each stride, `by_stride`.
 
-    `columns`: those of `/cycle` with `stride_percent`, `phase_doubt_percent` and `phase_share`; `true_desired_n`:
-    desired force by the true phase, 0 where there is none.  The first `settle` strides count in no figure.
+    `columns`: `NEEDED`.  The first `settle` strides count in no figure.
     """
     end = lowpass(columns["tension_end_n"], rate_hz) if true_end_n is None else true_end_n
     if end is None:
         end = columns["tension_end_n"]
     numbers = np.unique(columns["cycle"][columns["cycle"] >= 0]).astype(int)
-    strides = [_stride(columns, columns["cycle"] == k, int(k), true_desired_n, end, peak_n, rate_hz) for k in numbers]
+    strides = [_stride(columns, columns["cycle"] == k, int(k), end, peak_n, rate_hz) for k in numbers]
     counted = [one for one in strides if one["stride"] >= settle]
     walked = [one for one in counted if one["kind"] == "walk"]
     assisted = [one for one in walked if one["assisted"]]
@@ -55,10 +63,10 @@ def figures(
 
 
 def _stride(
-    columns: Mapping[str, Floats], rows: Mask, number: int, true_desired_n: Floats, end: Floats, peak_n: float,
-    rate_hz: float,
+    columns: Mapping[str, Floats], rows: Mask, number: int, end: Floats, peak_n: float, rate_hz: float,
 ) -> dict[str, Any]:
-    true, felt, asked = columns["stride_percent"], columns["gait_percent"], columns["desired_force_n"]
+    true, felt, asked, true_desired_n = (columns[name] for name in (
+        "stride_percent", "gait_percent", "desired_force_n", "true_phase_force_n"))
     unknown = np.isnan(true)
     error = np.mod(felt - true + 50.0, 100.0) - 50.0
     known = rows & ~unknown & (columns["phase_doubt_percent"] < NO_PHASE_PERCENT)

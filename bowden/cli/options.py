@@ -97,7 +97,8 @@ Stops = Annotated[int | None, _given("Times that the wearer stops and goes on (d
 Sits = Annotated[int | None, _given("Times that the wearer sits down and goes on (default 0).", metavar="COUNT")]
 Phase = Annotated[str | None, _given(
     "What the force follows: clock, or felt, from the knee alone (default with --strides).", metavar="NAME")]
-Desired = Annotated[Path | None, _file("Desired force, CSV of time_s or gait_percent and desired_force_n.")]
+Desired = Annotated[Path | None, _file(
+    "Desired force, CSV of time_s or gait_percent and desired_force_n, or by knee_angle_deg, too; or module:function.")]
 Calibration = Annotated[Path | None, _file("Bench model to work from (default: the packaged nominal one).")]
 Script = Annotated[str | None, typer.Option(
     "--experiment", metavar="NAME", autocompletion=experiments,

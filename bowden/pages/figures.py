@@ -78,15 +78,12 @@ def _of_strides(
     true = None if side is None else TrueEnd(side, "")
     blocks = [(columns, None if true is None else true.at(times))
               for times, columns in recorded.blocks(stride_figures.NEEDED)]
-    columns = {name: np.concatenate([block[name] for block, _ in blocks]) for name in stride_figures.NEEDED}
-    percent = columns["stride_percent"]
-    if not np.isfinite(percent).any():
+    columns = stride_figures.columns_of(block for block, _ in blocks)
+    if not np.isfinite(columns["stride_percent"]).any():
         return None
-    desired = np.array([experiment.reference.desired_force(at / 100.0) if math.isfinite(at) else 0.0
-                        for at in percent.tolist()])
     ends = [end for _, end in blocks if end is not None]
     return stride_figures.figures(
-        columns, desired, peak_n=experiment.gait.peak_n, rate_hz=experiment.network.rate_hz,
+        columns, peak_n=experiment.gait.peak_n, rate_hz=experiment.network.rate_hz,
         settle=experiment.gait.settle, true_end_n=np.concatenate(ends) if ends else None)
 
 

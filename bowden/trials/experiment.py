@@ -67,6 +67,7 @@ class Experiment:
         sections = configuration.read(None if self.configuration is None else Path(self.configuration))
         sections["network"] = self._overridden(sections["network"], _OF_NETWORK)
         knee, desired = (None if given is None else Path(given) for given in (self.knee, self.desired))
+        desired = session.desired_file(desired)
         sections["walk"] = configuration.drawn(
             self._overridden(sections["walk"], _OF_WALK), bus.arguments.get("seed"))
         reference, sections["gait"], notes = session.reference(

@@ -67,6 +67,8 @@ def course(experiment: ExperimentSetup) -> str:
     numbers = [round(value * 1e6) for i, at in enumerate(wanted)
                for value in (at.knee_angle_rad, at.force_n, followed.knee_angle(i / 100))]
     told: tuple[Any, ...] = (numbers, round(followed.period_s * 1e9))
+    if experiment.reference.surface is not None:
+        told += tuple((1e6 * column).round().tolist() for column in experiment.reference.surface)
     if experiment.strides:
         told += ([[round(angle * 1e6) for angle in stride.angle_rad] for stride in experiment.strides], experiment.walk)
     return sha256(repr(told).encode()).hexdigest()[:16]

@@ -100,7 +100,11 @@ def _own_file(recorded: Trial, named: str, place: str) -> Path:
     if name not in recorded.attachments:
         raise InputError(f"{recorded.path}: its bench.toml names {named!r} for {place}, which is not attached; a "
                          "recording reads the files of its bench from its own attachments alone.")
-    content = recorded.attachments[name]
+    return copied(name, recorded.attachments[name])
+
+
+def copied(name: str, content: bytes) -> Path:
+    """Return a file of that name and content, which lasts as long as this process."""
     path = _copies() / sha256(content).hexdigest() / name
     if not path.exists():
         path.parent.mkdir(exist_ok=True)

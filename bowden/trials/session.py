@@ -34,6 +34,10 @@ if TYPE_CHECKING:
     from trial.record import Recorder
 
 
+TABLE_RAD = 0.05
+"""Step of knee angle, rad, at which a function of a desired force is tabulated; between two, it is a straight line."""
+
+
 class Watch(Protocol):
     """Observer of a trial while the trial is recorded."""
 
@@ -42,8 +46,6 @@ class Watch(Protocol):
 
     def ended(self, sentence: str) -> None:
         """Report the outcome of the trial."""
-
-
 
 
 @dataclass(frozen=True)
@@ -125,10 +127,10 @@ def reference(
     """
     from physics import reference as law
     from physics import stride_walk
-    from trial.curves import read_curve
+    from trial.curves import Curve, read_curve, read_desired
 
     notes: list[str] = []
-    angle, force = law.paper_angle(), None
+    angle = law.paper_angle()
     several = () if walk is None else strides(knee, walk)
     if several:
         notes.append(f"{knee}: {len(several)} strides, played in random order; their mean is what is expected.")
@@ -145,11 +147,39 @@ def reference(
     if desired is not None:
         if peak_given:
             raise InputError("--peak belongs to the paper's force; leave it out with --desired, which has its own.")
-        curve = read_curve(desired, "desired_force_n")
-        notes.append(curve.note())
-        force = law.recorded_force(curve.percent, curve.values)
-        gait = override(gait, {"peak_n": (str(desired), float(force[0].max()))})
-    return law.Reference(gait.period_s, angle, force or law.paper_force(gait.peak_n)), gait, notes
+        wanted = read_desired(desired)
+        notes.append(wanted.note())
+        made = law.Reference(gait.period_s, angle, law.recorded_force(wanted.percent, wanted.values) if isinstance(
+            wanted, Curve) else law.recorded_surface(*wanted))
+        return made, override(gait, {"peak_n": (str(desired), made.peak_n)}), notes
+    return law.Reference(gait.period_s, angle, law.paper_force(gait.peak_n)), gait, notes
+
+
+def desired_file(desired: Path | None) -> Path | None:
+    """Return the file of a desired force: of a function "module:name", its table by phase and knee angle.
+
+    The table is the function at every percent of the gait and every `TABLE_RAD` of knee angle; it is attached to the
+    trial, so that nothing of the function runs in a control cycle or in a replay.  Raises `InputError`.
+    """
+    if desired is None or ":" not in desired.name or desired.exists():
+        return desired
+    from bowden.trials import recorded
+    from parameters.plugins import load
+    from trial.curves import FORCE
+
+    function = load("desired force", str(desired), "bowden.desired_forces", {})
+    rows = ["gait_percent,knee_angle_rad,desired_force_n"]
+    for percent in range(100):
+        for i in range(-35, 5):
+            at = f"desired force {str(desired)!r}: at {percent} % of the gait and {TABLE_RAD * i:g} rad it"
+            try:
+                force = float(function(float(percent), TABLE_RAD * i))
+            except Exception as error:
+                raise InputError(f"{at} raised {type(error).__name__}: {error}; mend it.") from None
+            if not FORCE.low <= force <= FORCE.high:
+                raise InputError(f"{at} is {force:g} N, expected {FORCE.low:g} to {FORCE.high:g}; mend it.")
+            rows.append(f"{percent},{TABLE_RAD * i:g},{force!r}")
+    return recorded.copied("desired.csv", "\n".join(rows).encode() + b"\n")
 
 
 def prepare(

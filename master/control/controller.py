@@ -36,6 +36,7 @@ WALKING: Final = (
     Column("stride_percent", "%", "true phase of the stride that is played; unknown in a stumble or rest"),
     Column("phase_doubt_percent", "%", "standard deviation of the felt phase, gait_percent; 29 where there is none"),
     Column("phase_share", "1", "share of the desired force that is asked for; below 0 the rope is paid out instead"),
+    Column("true_phase_force_n", "N", "desired force at the true phase; 0 where there is none"),
     Column("followed_zero_m", "m", "shift of the rope's zero since homing that the controller follows"),
 )
 """Columns of a trial whose strides differ, or whose phase is felt."""
@@ -66,7 +67,8 @@ class Controller(Protocol[State]):
 
     A class that inherits this writes `step` and `initial`, and a constructor that takes the arguments of `configure`.
 
-    `slack_share`: share of the configured idle slack while no force is desired. `uses_homing_fit`: it takes friction,
+    `slack_share`: share of the configured idle slack while no force is desired. `follows_knee`: it asks for the force
+    that `GaitTable.wanted` has at the knee's angle. `uses_homing_fit`: it takes friction,
     stretch and START's offset from `Conditions.homing`, else from the model. `columns`: further columns in the trial.
     `ahead`: control cycles after the step at which a target acts, as the controller assumes. `parameters`: a frozen
     dataclass that declares the controller's own parameters with `parameters.parameter`; its values are
@@ -74,6 +76,7 @@ class Controller(Protocol[State]):
     """
 
     slack_share: ClassVar[float] = 1.0
+    follows_knee: ClassVar[bool] = False
     uses_homing_fit: ClassVar[bool] = False
     columns: ClassVar[tuple[Column, ...]] = ()
     parameters: ClassVar[type[Any] | None] = None

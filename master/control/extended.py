@@ -183,7 +183,8 @@ def step(
     here = paths[0]
     ratio = math.exp(here.by_sheath + here.by_knee + here.discrepancy)
     # a felt phase is led on to the instant at which a target acts; what was asked for then is what is desired now
-    desired, slack = gait.wanted(now) if seen.place is None else (here.desired, here.slack)
+    desired, slack = (gait.wanted(now, knee_rad=seen.knee_angle_rad) if seen.place is None
+                      else (here.desired, here.slack))
     start = (seen.start_n - config.start_offset_n) / config.start_gain
     rate = paths[min(1, len(paths) - 1)].start - here.start
     unlagged = start + config.start_lag * rate
@@ -285,9 +286,9 @@ def look_ahead(
     """
     gait, cycles = config.gait, config.ahead + 1
     then = (now + (cycles if seen.place is None else cycles * seen.rate)) % gait.samples
-    desired, slack = gait.wanted(then, seen.share)
     speed = (departures[-1] - departures[0]) / (DEPARTURES - 1)
     knee = at(gait.knee, then) + departures[-1] + cycles * speed
+    desired, slack = gait.wanted(then, seen.share, knee)
     half = state.followed.play / state.law.rope_per_knee
     moved = 0.0 if math.isnan(state.leg[1]) else knee - state.leg[1]
     behind = min(half, max(-half, state.leg[0] - moved))

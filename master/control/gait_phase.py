@@ -45,9 +45,6 @@ MEMORY = RING + DELAYS
 
 RATE_SHARE, SIZE_SHARE = 0.06, 0.06
 """Standard deviation of a stride's rate and amplitude, relative: ± 8 and ± 10 % drawn evenly are 0.046 and 0.058."""
-AWAY_RAD: Final = 0.03
-"""Standard deviation of a stride about the mean stride at equal phase, rad: 1.7 degrees over eleven strides of one
-walker (`physics.stride_walk.spread`)."""
 LAMBDA_T: Final = 11.0
 """λ by the duration of a stride: the autocorrelation of those strides' departures is 0.5 after 15 % of the gait."""
 NOISE_RAD: Final = 5e-4
@@ -119,7 +116,7 @@ class PhaseConfig:
         return self.mean_rad, self.rate_hz, self.period_s, self.away_rad
 
 
-def configure(knee_rad: Array, period_s: float, away_rad: float = AWAY_RAD) -> PhaseConfig:
+def configure(knee_rad: Array, period_s: float, away_rad: float) -> PhaseConfig:
     """Return the constants for a mean stride, rad by sample of `period_s`, and a standard deviation of strides, rad."""
     rate_hz = 1.0 / (knee_rad.size * period_s)
     lam, fade = LAMBDA_T * rate_hz, math.exp(-rate_hz * period_s)

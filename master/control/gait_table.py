@@ -7,6 +7,7 @@ the laws of `physics` before the first control cycle; nothing here sees a measur
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,7 @@ from parameters import InputError
 from physics import laws
 from physics.calibration import Calibration
 from physics.laws import Array
+from physics.reference import ForceSurface
 
 ROPE_STILL_M_S = 1e-3
 STRAIN_STILL_N_S = 2.0
@@ -28,7 +30,8 @@ class GaitTable:
     """One gait cycle by sample (`samples` control cycles of `period_s`): floats in SI, knee flexion negative.
 
     `stretch` is x1 of (10) at the desired END force; `loss` the addition at START by (4) + (8), `series_loss` that of
-    the two in series; `slack` the rope unwound while no force is desired; directions are −1, 0, +1.
+    the two in series; `slack` the rope unwound while no force is desired; directions are −1, 0, +1. `by_knee`: if the
+    force depends on the knee angle, too, angles and the desired force at each by sample; `desired` follows `knee`.
     """
 
     samples: int
@@ -42,13 +45,20 @@ class GaitTable:
     rope_direction: tuple[float, ...]
     fabric_direction: tuple[float, ...]
     slack: tuple[float, ...]
+    by_knee: tuple[tuple[float, ...], tuple[tuple[float, ...], ...]] | None = None
 
-    def wanted(self, place: float, share: float = 1.0) -> tuple[float, float]:
+    def wanted(self, place: float, share: float = 1.0, knee_rad: float | None = None) -> tuple[float, float]:
         """Return desired force, N, and slack, m, at a place in the table, for the `share` of the force asked for.
 
-        1 … 0: of the force; 0 … −1: how far the rope is paid out in its place.
+        `share` 1 … 0: of the force; 0 … −1: how far the rope is paid out in its place. `knee_rad`: the knee angle, by
+        which the force goes where it depends on one.
         """
         desired, slack = at(self.desired, place), at(self.slack, place)
+        if self.by_knee is not None and knee_rad is not None:
+            angles, forces = self.by_knee
+            i = min(max(bisect_right(angles, knee_rad), 1), len(angles) - 1)
+            u = min(max((knee_rad - angles[i - 1]) / (angles[i] - angles[i - 1]), 0.0), 1.0)
+            desired = (1.0 - u) * at(forces[i - 1], place) + u * at(forces[i], place)
         if share == 1.0:
             return desired, slack
         return max(share, 0.0) * desired, slack + (max(self.slack) - slack) * max(-share, 0.0)
@@ -120,8 +130,12 @@ def slack_share(desired: Array, ramp: int) -> Array:
     return np.asarray(np.sin(0.5 * np.pi * distance), dtype=np.float64)
 
 
-def tabulate(calibration: Calibration, knee: Array, desired: Array, period_s: float, slack_m: float) -> GaitTable:
-    """Build the tables of one gait cycle from knee angle (rad) and desired END force (N) by sample."""
+def tabulate(calibration: Calibration, knee: Array, desired: Array, period_s: float, slack_m: float,
+             by_knee: ForceSurface | None = None) -> GaitTable:
+    """Build the tables of one gait cycle from knee angle (rad) and desired END force (N) by sample.
+
+    `by_knee`: the desired force by sample and knee angle; the rope is taut where any angle has a force.
+    """
     stretched, swung = stretch(calibration, desired), swing(calibration, knee)
     rope = directions(_rate(stretched + swung, period_s), ROPE_STILL_M_S)
     strain = directions(_rate(desired, period_s), STRAIN_STILL_N_S)
@@ -132,9 +146,12 @@ def tabulate(calibration: Calibration, knee: Array, desired: Array, period_s: fl
         "desired": desired, "knee": knee, "swing": swung, "stretch": stretched, "series_loss": series,
         "loss": laws.cable_loss(desired, cable, rope) + laws.fabric_loss(desired, fabric, strain),
         "rope_direction": rope, "fabric_direction": strain,
-        "slack": slack_m * slack_share(desired, round(RAMP_SHARE * desired.size)),
+        "slack": slack_m * slack_share(desired if by_knee is None else by_knee.force_n.max(axis=1),
+                                       round(RAMP_SHARE * desired.size)),
     }
-    return GaitTable(desired.size, period_s, **{name: tuple(column.tolist()) for name, column in columns.items()})
+    forces = by_knee and (tuple(by_knee.knee_rad.tolist()), tuple(map(tuple, by_knee.force_n.T.tolist())))
+    return GaitTable(desired.size, period_s, **{name: tuple(column.tolist()) for name, column in columns.items()},
+                     by_knee=forces)
 
 
 def _rate(column: Array, period_s: float) -> Array:

@@ -64,6 +64,7 @@ class ExtendedController(Controller[extended.ExtendedState]):
     """
 
     slack_share = 2.0 / 3.0
+    follows_knee = True
     uses_homing_fit = True
 
     def __init__(self, model: Calibration, gait: GaitTable, conditions: Conditions) -> None:

@@ -139,8 +139,6 @@ def drawn_walk(experiment: ExperimentSetup, table: GaitTable, first: int, rest: 
     `first`, `rest`: the samples of run-in and run-out.  Raises `InputError` for what cannot be walked.
     """
     chosen = experiment.walk
-    if chosen.differs and experiment.gait.soft_start:
-        raise InputError("--soft-start belongs to one stride that repeats on the clock; leave it out.")
     if not chosen.strides:
         if chosen.stumbles or chosen.stops or chosen.sits:
             raise InputError("stumbles, stops and sits are drawn among recorded strides; say how many with --strides.")
@@ -149,7 +147,7 @@ def drawn_walk(experiment: ExperimentSetup, table: GaitTable, first: int, rest: 
         raise InputError("--strides: the knee's motion has no recorded strides; give them with --knee FILE.")
     made = walk(experiment.strides, Variation(
         chosen.strides, chosen.seed, chosen.period_share, chosen.amplitude_share, chosen.stumbles, chosen.stops,
-        chosen.sits), np.array(table.knee), table.period_s, first, rest)
+        chosen.sits), np.array(table.knee), table.period_s, first, rest, 2 + experiment.gait.soft_start)
     limits, low, high = experiment.limits, float(made.knee_rad.min()), float(made.knee_rad.max())
     fastest = float(np.abs(np.diff(made.knee_rad)).max()) / table.period_s
     if not (limits.knee_low_rad <= low <= high <= limits.knee_high_rad and fastest <= limits.knee_rad_s):
@@ -174,17 +172,24 @@ class Planned:
         self.own = controller.own_parameters(self.kind, chosen.tuning, where=f"controller {chosen.controller}")
         refuse_beyond_validity(calibration, experiment.reference.peak_n)
         refuse_beyond_limits(experiment)
-        knee, desired = gait.sampled(experiment.reference, samples_of(experiment.reference.period_s, rate_hz))
-        start_n = float(inverse.path(inverse.law(calibration, 1.0 / rate_hz), desired, knee).start.max())
+        samples = samples_of(experiment.reference.period_s, rate_hz)
+        knee, desired = gait.sampled(experiment.reference, samples)
+        by_knee = gait.sampled_by_knee(experiment.reference.surface, samples)
+        if by_knee is not None and not getattr(self.kind, "follows_knee", False):
+            raise InputError(f"controller {chosen.controller}: follows no desired force that depends on the knee "
+                             "angle, as that of --desired does; say --controller extended.")
+        most = desired if by_knee is None else by_knee.force_n.max(axis=1)
+        start_n = float(inverse.path(inverse.law(calibration, 1.0 / rate_hz), most, knee).start.max())
         self.start_n = start_n
         self.homing, calibration = within(experiment.homing, calibration, experiment.reference.peak_n)
         self.experiment, self.calibration = experiment, calibration
         slack_m = chosen.idle_slack_m * self.kind.slack_share
-        self.table = tabulate(calibration, knee, desired, 1.0 / rate_hz, slack_m)
-        self.rising = [tabulate(calibration, knee, desired * (i + 1) / (chosen.soft_start + 1), 1.0 / rate_hz, slack_m)
-                       for i in range(chosen.soft_start)]
+        self.table = tabulate(calibration, knee, desired, 1.0 / rate_hz, slack_m, by_knee)
+        self.rising = [tabulate(
+            calibration, knee, desired * (i + 1) / (chosen.soft_start + 1), 1.0 / rate_hz, slack_m,
+            by_knee and by_knee._replace(force_n=by_knee.force_n * (i + 1) / (chosen.soft_start + 1)))
+            for i in range(chosen.soft_start)]
         self.idle = gait.idle_table(self.table, calibration)
-        samples = self.table.samples
         self.first = gait.run_in_sample(self.table)
         self.rest = gait.resting_sample(self.idle, samples // 20, samples // 2)
         self.strides = drawn_walk(experiment, self.table, self.first, self.rest)
@@ -298,12 +303,12 @@ class Planned:
                 return strides.at(sample)[2]
             return float(before + sample // samples) if 0 <= sample < last else -1.0
 
-        for i, table in enumerate(self.rising, 1 - len(self.rising)):
-            yield from self._walked(exchange, table, begin, i * samples, number)
-            begin = i * samples
         if self.phase is not None:  # the run-out keeps the zero that was followed
             yield from self._walked(exchange, self.table, begin, last + self.rest, number, last)
             return
+        for i, table in enumerate(self.rising, 1 - len(self.rising)):
+            yield from self._walked(exchange, table, begin, i * samples, number)
+            begin = i * samples
         yield from self._walked(exchange, self.table, begin, last, number)
         end = -(-last // samples) * samples  # the run-out begins with a gait cycle
         yield from self._walked(exchange, self.idle, end, end + self.rest, lambda sample: -1.0, late=end - last)
@@ -318,7 +323,8 @@ class Planned:
             control = self.control(table)
         yield from gait.steps(
             exchange, control, table, first, last, number, self._led(late), name=name, own=len(self.kind.columns),
-            felt=self.phase, true_percent=self._true_percent(late), until=until)
+            felt=self.phase, true_percent=self._true_percent(late), until=until,
+            rising=len(self.rising))
 
     def _true_percent(self, late: int) -> Callable[[int], float] | None:
         """Return the true phase, %, by sample, of strides that differ or are felt; None of one that repeats."""

@@ -25,7 +25,7 @@ from master.cycle.shared_exchange import Answer, Work
 from master.motion import moves
 from master.settings import Homing
 from physics.calibration import Calibration
-from physics.reference import Reference
+from physics.reference import ForceSurface, Reference
 
 ENDS_A_STEP: Final = (Exception, SystemExit)
 """Exceptions of a controller that end in the safe stop; Ctrl-C is handled elsewhere."""
@@ -52,6 +52,13 @@ def sampled(reference: Reference, samples: int) -> tuple[np.ndarray[tuple[int], 
     """Knee angle (rad) and desired force (N) of one gait cycle, by sample."""
     wanted = [reference.at(i / samples) for i in range(samples)]
     return np.array([w.knee_angle_rad for w in wanted]), np.array([w.force_n for w in wanted])
+
+
+def sampled_by_knee(surface: ForceSurface | None, samples: int) -> ForceSurface | None:
+    """Return a desired force by phase and knee angle, by sample; None where it depends on no angle."""
+    percent = 100.0 * np.arange(samples) / samples
+    return surface and surface._replace(force_n=np.stack(
+        [surface.at(percent, np.full(samples, angle)) for angle in surface.knee_rad], axis=1))
 
 
 def resting_sample(gait: GaitTable, first: int, last: int) -> int:
@@ -105,6 +112,7 @@ def steps(
     exchange: Cycle, control: Controller[Any], table: GaitTable, first: int, last: int,
     number: Callable[[int], float], knee_at: Callable[[int], float] | None = None, *, name: str = "", own: int = 0,
     felt: PhaseConfig | None = None, true_percent: Callable[[int], float] | None = None, until: float = math.inf,
+    rising: int = 0,
 ) -> Work[None]:
     """Answer samples `first` … `last` − 1 (0: start of gait cycle 0); `number` gives a row's gait-cycle number.
 
@@ -112,13 +120,13 @@ def steps(
     is the number of further columns of the controller `name`. A controller that raises, or whose targets are not
     finite, raises `StopError`. With `felt` the controller follows the phase of the knee angle, without a clock;
     `true_percent` gives the true phase, %, for the record of a trial whose strides differ. From the sample `until` on
-    no force is asked for.
+    no force is asked for, and in the `rising` gait cycles before sample 0 a share of it that rises.
     """
     samples, desired = table.samples, table.desired
     with naming(name):
         step, state = control.step, control.initial()
     inputs = exchange.inputs
-    memory, share, place = gait_phase.initial(), 1.0 if felt is None else -1.0, 0.0
+    memory, share, place, doubt, asked = gait_phase.initial(), 1.0 if felt is None else -1.0, 0.0, 0.0, 1.0
     more: tuple[float, ...] = ()
     followed_s = math.inf if felt is None else 0.0
     for sample in range(first, last):
@@ -127,22 +135,26 @@ def steps(
             lost = inputs.missing & NEEDED
             reading, memory = gait_phase.step(felt, memory, NAN if lost else inputs.knee_angle_rad)
             share = gait_phase.follow(share, reading._replace(known=reading.known and sample < until), table)
-            followed_s = followed_s + table.period_s if share == 1.0 else 0.0
+            asked = share if not rising or sample >= 0 else min(
+                share, max(0.0, rising + 1.0 + sample // samples) / (rising + 1.0))
+            followed_s = followed_s + table.period_s if asked == 1.0 else 0.0
             place = reading.phase * samples
             i = int(place) % samples
-            more = (NAN if true_percent is None else true_percent(sample), 100.0 * reading.doubt, share)
-        elif true_percent is not None:
-            more = (true_percent(sample), 0.0, 1.0)
+            doubt = 100.0 * reading.doubt
+        if true_percent is not None:
+            true = true_percent(sample)
+            force = table.wanted(0.01 * true * samples, 1.0, inputs.knee_angle_rad)[0] if true == true else 0.0
+            more = (true, doubt, asked, force)
         if inputs.missing & NEEDED:
             yield Answer(*exchange.targets, CycleAnnotations(
-                100.0 * i / samples, desired[i] * max(share, 0.0) if felt else desired[i], cycle=number(sample),
+                100.0 * i / samples, desired[i] * max(asked, 0.0), cycle=number(sample),
                 held=1.0))
             inputs = exchange.inputs
             continue
         seen = ControllerInput(
             sample, inputs.servo_position_m, inputs.servo_force_n, inputs.knee_angle_rad, inputs.start_n)
         if felt is not None:
-            seen = seen._replace(place=place, rate=reading.rate * table.period_s * samples, share=share)
+            seen = seen._replace(place=place, rate=reading.rate * table.period_s * samples, share=asked)
         try:
             (servo, knee), state, trace = step(seen, state)
             whole = isfinite(servo) and isfinite(knee) and len(trace.own) == own
@@ -155,7 +167,7 @@ def steps(
                                                   f"{_place(i, samples, number(sample))}")
         yield Answer(servo, knee if knee_at is None else knee_at(sample), CycleAnnotations(
             gait_percent=100.0 * (i if felt is None else place) / samples, cycle=number(sample),
-            desired_force_n=desired[i] if felt is None else trace.desired_force_n,
+            desired_force_n=desired[i] if felt is None and table.by_knee is None else trace.desired_force_n,
             estimated_end_force_n=trace.estimated_end_force_n, estimated_end_half_n=trace.estimated_end_half_n,
             feedforward_m=trace.feedforward_m, impedance_dx_m=trace.impedance_dx_m,
             friction_ratio=trace.friction_ratio, rope_direction=trace.rope_direction,

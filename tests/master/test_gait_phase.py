@@ -10,6 +10,7 @@ import pytest
 from master.control import gait_phase
 from master.control.gait_phase import Reading
 from master.control.gait_table import GaitTable, tabulate
+from master.settings import Walk
 from physics import stride_walk
 from physics.calibration import nominal
 from physics.laws import Array, desired_force
@@ -36,7 +37,7 @@ def felt(seed: int, stumbles: int = 0, stops: int = 0, sits: int = 0) -> tuple[S
     """Return a walk, its readings, and the share of the force by control cycle."""
     walk = stride_walk.walk(strides(6), Variation(12, seed, 0.08, 0.1, stumbles, stops, sits), lap(), PERIOD_S, 1000, 0)
     config, memory, readings, share, shares, gait = (
-        gait_phase.configure(lap(), PERIOD_S), gait_phase.initial(), [], -1.0, [], table())
+        gait_phase.configure(lap(), PERIOD_S, Walk().departure_rad), gait_phase.initial(), [], -1.0, [], table())
     for angle in walk.knee_rad.tolist():
         reading, memory = gait_phase.step(config, memory, angle)
         share = gait_phase.follow(share, reading, gait)
@@ -80,7 +81,7 @@ def test_a_stumble_costs_the_phase_or_leaves_it_right(seed: int) -> None:
 
 
 def test_a_cycle_without_an_angle_leads_the_phase_on() -> None:
-    config, memory = gait_phase.configure(lap(), PERIOD_S), gait_phase.initial()
+    config, memory = gait_phase.configure(lap(), PERIOD_S, Walk().departure_rad), gait_phase.initial()
     for i in range(2 * SAMPLES):
         reading, memory = gait_phase.step(config, memory, lap()[i % SAMPLES])
     for _ in range(10):
@@ -90,7 +91,7 @@ def test_a_cycle_without_an_angle_leads_the_phase_on() -> None:
 
 
 def test_a_step_changes_no_memory_that_it_is_given() -> None:
-    config, memory = gait_phase.configure(lap(), PERIOD_S), gait_phase.initial()
+    config, memory = gait_phase.configure(lap(), PERIOD_S, Walk().departure_rad), gait_phase.initial()
     before = memory.copy()
     gait_phase.step(config, memory, -0.5)
     assert np.array_equal(memory, before)

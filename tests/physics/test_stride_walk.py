@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from parameters import InputError
 from physics import stride_walk
 from physics.reference import recorded_angle
 from physics.stride_walk import Variation
-from tests.stride_files import AWAY_RAD, strides
+from tests.stride_files import strides
 
 SAMPLES, PERIOD_S = 1200, 1e-3
 SEVERAL = strides(6)
@@ -62,8 +60,3 @@ def test_interruptions_are_as_many_as_asked_for_and_have_no_phase() -> None:
 def test_more_interruptions_than_there_is_room_for_are_refused() -> None:
     with pytest.raises(InputError, match="at most one in 4, so 2: ask for more strides"):
         walk(Variation(8, 0, 0.08, 0.1, stumbles=2, stops=1))
-
-
-def test_the_spread_of_strides_is_that_about_their_mean() -> None:
-    assert stride_walk.spread(strides(40, 3)) == pytest.approx(AWAY_RAD, rel=0.15)
-    assert math.isnan(stride_walk.spread(SEVERAL[:2]))

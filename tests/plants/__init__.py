@@ -2,8 +2,8 @@
 
 The rule of this file: a plant's name says everything, so that nothing of the product has to know of serials here.
 `tests.plants:bench_17_day_1` is serial 17 on day 1; `tests.plants:maxwell_17_day_1` the same with that method;
-`…+fabric_friction` hides an effect in it, drawn from the bench's seed; `tests.plants:family` takes the seed for the
-serial.  See docs/family.md.
+`…+fabric_friction` hides an effect in it, drawn from the bench's seed; `…_up_60` or `…_down_60` moves its zero by 60
+µm/s; `tests.plants:family` takes the seed for the serial.  See docs/family.md.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 _NAME = re.compile(r"(?P<kind>family|bench|maxwell|lugre|dahl|fronts)(_(?P<serial>\d+))?(_day_(?P<day>\d+))?"
-                   r"(?P<hidden>(\+\w+)*)")
+                   r"(_(?P<way>up|down)_(?P<rate>\d+))?(?P<hidden>(\+\w+)*)")
 
 
 def bench_of(name: str, seed: int = 0) -> Any:
@@ -22,6 +22,7 @@ def bench_of(name: str, seed: int = 0) -> Any:
     if found is None:
         raise AttributeError(f"{name} is no plant of the family; see docs/family.md")
     from tests.plants import draws, effects
+    from tests.plants.bench import replaced
 
     kind = found["kind"]
     serial = seed if found["serial"] is None else int(found["serial"])
@@ -30,7 +31,8 @@ def bench_of(name: str, seed: int = 0) -> Any:
     for part in hidden:
         if part not in effects.IN_PLANT:
             raise AttributeError(f"{part} is no effect that a plant of the family can have")
-    return effects.hide(bench, hidden, seed)[0]
+    rate = {"up": 1e-6, "down": -1e-6, None: 0.0}[found["way"]] * float(found["rate"] or 0)
+    return effects.hide(replaced(bench, zero_rate=rate), hidden, seed)[0]
 
 
 def __getattr__(name: str) -> Callable[[dict[str, float], int], Any]:

@@ -111,6 +111,7 @@ class Bench:
     eccentricity_phase: float = 0.0
     zero: float = 0.0  # encoder's reading of the taut, unloaded rope at KNEE_AT_FIT
     start_slack: float = 8e-3
+    zero_rate: float = 0.0  # m/s: a garment that migrates moves the zero
     # sensors, as the bridges feel
     start_lag: float = 1e-3
     end_lag: float = 1e-3

@@ -28,6 +28,7 @@ class FamilyPlant:
         self.bench = bench
         self._method = METHODS[bench.structure.implementation]
         self._k, self._p = mechanics.parameters(bench), self._method.parameters(bench)
+        self._zero = self._k[mechanics.K_ZERO]
         self._m, self._z = np.zeros(mechanics.STATES), self._method.state(bench)
         self.reset(0)
 
@@ -54,6 +55,7 @@ class FamilyPlant:
         count = (until_ns - self._done_ns) // mechanics.STEP_NS
         if count:
             self._done_ns += count * mechanics.STEP_NS
+            self._k[mechanics.K_ZERO] = self._zero + self.bench.zero_rate * (until_ns - self._start_ns) * 1e-9
             self._method.drive(count, self._m, self._k, self._z, self._p, servo_torque_nm, knee_torque_nm)
         return self._felt()
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from trial import metrics, paths
+from trial import metrics, paths, stride_figures
 from trial.read import Extent, TrialFile
 from trial.report import bus_section, force_section, labels
 from trial.report.bus_section import FrameBits
@@ -87,7 +87,7 @@ def _of_path(
         page.prefix = ""
 
     return [begin, lambda: _summary(page, one, view, judged, frames, published),
-            lambda: force_section.force(page, one, view, judged),
+            lambda: _strides(page, one, judged), lambda: force_section.force(page, one, view, judged),
             lambda: force_section.motion(page, view.drawn), lambda: force_section.others(page, view.drawn), end]
 
 
@@ -170,6 +170,20 @@ def _figures(
               "recorded at the latch that holds the desired force; in idle and at the peak after a 20 Hz zero-phase "
               "low-pass."
               + (f" Read off the columns: {', '.join(judged.read_off)}." if judged.read_off else ""), "note")
+
+
+def _strides(page: Page, trial: TrialFile, judged: TrialSetting) -> None:
+    """Add a table of strides that differ; nothing for a trial of one that repeats."""
+    if set(stride_figures.NEEDED) - set(trial.units) or judged.peak_n is None or judged.rate_hz is None:
+        return
+    columns = stride_figures.columns_of(block.columns for block in trial.blocks(stride_figures.NEEDED))
+    found = stride_figures.figures(columns, peak_n=judged.peak_n, rate_hz=judged.rate_hz, settle=judged.settle)
+    page.section("Strides")
+    page.text(f"By the {found['judged_by']}; relative RMSE by the peak. The first {judged.settle} count in no figure.",
+              "note")
+    page.table(("stride", "kind", "period (s)", "RMSE, force asked for (%)", "RMSE, true phase (%)",
+                "phase error, rms (%)", "largest END at idle (N)", "more than 3 N off phase (ms)"),
+               [tuple(one[name] for name in stride_figures.SHOWN) for one in found["by_stride"]], tall=True)
 
 
 def _events(page: Page, trial: TrialFile, frames: int) -> None:

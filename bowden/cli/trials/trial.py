@@ -76,6 +76,7 @@ def trial(
     sections["network"] = configuration.with_monitor(sections["network"], monitor)
     sections["homing"] = configuration.homing(sections["homing"], homing_n)
     entered = session.entered(sections, logbook, config)
+    desired = session.desired_file(desired)
     bench = watched.bench(entered)
     chosen = reached.chosen(simulated)
     if motion_of is not None:
