@@ -55,13 +55,11 @@ class Slopes(NamedTuple):
 
 def effect_columns(fit: ReferenceFit) -> list[EffectColumns]:
     """Return the columns of every variant that moves one of the outputs."""
-    table = fit.model.constants
-    q = fit.prior.origin.copy()
-    q[list(table.free)] += fit.prior.mean[:len(table.free)]
+    values = fit.model.constants.named(fit.prior.coordinates(fit.model.constants))
     found, first = [], 0
     for name, hypothesis in fit.model.hypotheses.items():
         if set(hypothesis.needs) <= set(fit.outputs):
-            for variant in hypothesis.variants(table.named(q)):
+            for variant in hypothesis.variants(values):
                 count = len(variant.directions)
                 found.append(EffectColumns(name, variant, slice(first, first + count)))
                 first += count

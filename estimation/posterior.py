@@ -6,10 +6,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -102,6 +102,12 @@ class Gaussian:
     origin: Array
     mean: Array
     covariance: Array
+
+    def coordinates(self, table: ConstantTable, departure: Array | float = 0.0) -> Array:
+        """Return the coordinates of all constants of `table` at a `departure` of the free ones from the mean."""
+        q = self.origin.copy()
+        q[list(table.free)] += self.mean[:len(table.free)] + departure
+        return q
 
 
 @dataclass(frozen=True)
@@ -201,13 +207,45 @@ def bounded(residual: Array, weight: Array) -> Array:
     return np.asarray(np.where(scaled < HUBER, 1.0, HUBER / np.maximum(scaled, 1e-9)) * weight)
 
 
+class _Linearised(NamedTuple):
+    """A posterior linearised at a point: ∂f/∂q, weights, I + LᵀHᵀWHL with its Cholesky factor, and downhill slope."""
+
+    slopes: Array
+    weight: Array
+    square: Array
+    inner: Any
+    pull: Array
+
+
+def descended(x: Any, cost: Callable[[Any], float], linearised: Callable[[Any], Any],
+              stepped: Callable[[Any, Any, float], Any], close: float, tries: int = 7) -> tuple[Any, float, Any]:
+    """Return the minimum of `cost` from `x` by damped Gauss–Newton steps, its cost, and the last linearisation.
+
+    `stepped`: point after a step on a linearisation with a damping, which changes by Marquardt's (1963) factor of ten.
+    `close`: decrease in one step below which the minimum counts as reached.  `tries`: largest number of steps from one
+    linearisation.
+    """
+    now, damping = cost(x), 0.0
+    while True:
+        before, here = now, linearised(x)
+        for _ in range(tries):
+            moved = stepped(x, here, damping)
+            then = cost(moved)
+            if np.isfinite(then) and then < now:
+                x, now = moved, then
+                break
+            damping = max(10.0 * damping, 1.0)
+        damping = damping / 10.0 if damping > 1.0 else 0.0
+        if before - now < close:
+            return x, now, here
+
+
 def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), start: Array | None = None,
-         descends: bool = True, tries: int = 7) -> PosteriorMode:
+         descends: bool = True) -> PosteriorMode:
     """Return the posterior mode of trials; `variants` of effects widen the `prior`.
 
     `start`: departures at which the descent begins (None: the prior's mean).  `descends`: if false, the linearisation
-    at `start` is returned.  `tries`: largest number of trial steps from one linearisation.  Marquardt's (1963)
-    factor of ten changes the damping.
+    at `start` is returned.
     Raises `numpy.linalg.LinAlgError` if the problem is numerically singular.
     """
     table = observed.model.constants
@@ -215,73 +253,60 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
     factor: Array = np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance))), np.float64)
     measured, features, weight = observed.data, observed.features, observed.weight
     count, root = len(active), np.sqrt(weight)
-    discrepancy = features @ factor[count:]
+    discrepancy, eye = features @ factor[count:], np.eye(mean.size)
+    spread = np.sqrt(np.diag(covariance)[:count])
 
     def at(x: Array) -> Array:
         q = origin.copy()
         q[active] += x[:count]
         return q
 
-    def cost(x: Array) -> tuple[float, Array]:
-        off = solve_triangular(factor, x - mean, lower=True)
-        residual = measured - observed.predicted(at(x)) - features @ x[count:]
-        return loss(residual, root) + float(off @ off), residual
+    def off(x: Array) -> Array:
+        return np.asarray(solve_triangular(factor, x - mean, lower=True))
 
-    def linearised(x: Array) -> tuple[Array, Array]:
-        _, slopes = observed.jacobian(at(x), active)
-        inward = discrepancy.copy()
+    def residual(x: Array) -> Array:
+        return np.asarray(measured - observed.predicted(at(x)) - features @ x[count:])
+
+    def cost(x: Array) -> float:
+        return loss(residual(x), root) + float(off(x) @ off(x))
+
+    def linearised(x: Array) -> _Linearised:
+        data, slopes = observed.jacobian(at(x), active)
+        missed = measured - data - features @ x[count:]
+        inward, weights = discrepancy.copy(), bounded(missed, weight)
         inward[:, :count] += slopes @ factor[:count, :count]
-        return slopes, inward
-
-    x = mean.copy() if start is None else start.copy()
-    (now, residual), damping = cost(x), 0.0
-    eye = np.eye(x.size)
-    spread = np.sqrt(np.diag(covariance)[:count])
-    while True:
-        before, (slopes, inward), weights = now, linearised(x), bounded(residual, weight)
         scaled = inward * np.sqrt(weights)[:, None]
         square = eye + scaled.T @ scaled
-        inner = cho_factor(square)
-        if not descends:
-            break
-        solved = inner if damping == 0.0 else cho_factor(square + damping * eye)
-        pull = inward.T @ (weights * residual) - solve_triangular(factor, x - mean, lower=True)
-        for _ in range(tries):
-            step = factor @ cho_solve(solved, pull)
-            step /= max(1.0, float(np.abs(step[:count] / spread).max()) / LONGEST)
-            then, left = cost(x + step)
-            if np.isfinite(then) and then < now:
-                now, x, residual = then, x + step, left
-                break
-            damping = max(10.0 * damping, 1.0)
-            solved = cho_factor(square + damping * eye)
-        damping = damping / 10.0 if damping > 1.0 else 0.0
-        if before - now < CLOSE:
-            break
+        return _Linearised(slopes, weights, square, cho_factor(square), inward.T @ (weights * missed) - off(x))
+
+    def stepped(x: Array, here: _Linearised, damping: float) -> Array:
+        step = factor @ cho_solve(here.inner if damping == 0.0 else cho_factor(here.square + damping * eye), here.pull)
+        return np.asarray(x + step / max(1.0, float(np.abs(step[:count] / spread).max()) / LONGEST))
+
+    x = mean if start is None else start
+    x, now, here = descended(x, cost, linearised, stepped, CLOSE) if descends else (x, cost(x), linearised(x))
     # the curvature is that of the last linearisation, at a cost within `CLOSE` of the mode's
-    evidence = -0.5 * now - float(np.log(np.diag(inner[0])).sum())
-    return PosteriorMode(
-        table, at(x), x, tuple(active), now, evidence, factor, inner, slopes, features, weights, residual, mean)
+    evidence = -0.5 * now - float(np.log(np.diag(here.inner[0])).sum())
+    return PosteriorMode(table, at(x), x, tuple(active), now, evidence, factor, here.inner, here.slopes, features,
+                         here.weight, residual(x), mean)
 
 
 def screened(null: PosteriorMode, observed: Observed, variant: Variant, error: Array | None = None
              ) -> tuple[float, Array]:
     """Return the linear log Bayes factor of a variant at the mode `null`, nats, and the sizes along its directions.
 
-    ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G), with g and G of `projected`.  `error`: columns of a further Gaussian error
-    of the data, shape (data, columns).
+    ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G), g = EᵀC⁻¹e, G = EᵀC⁻¹E, e the error of the null.  `error`: columns of a
+    further Gaussian error of the data, shape (data, columns).
     """
-    pull, square = projected(null, observed, variant, error)
+    effect, applied = response(null, observed, variant, error)
+    return bayes_factor(effect.T @ applied[:, 1:], effect.T @ applied[:, 0])
+
+
+def bayes_factor(square: Array, pull: Array) -> tuple[float, Array]:
+    """Return the log Bayes factor, nats, of sizes with the prior N(0, 1) from their information, and their mean."""
     whole = np.eye(pull.size) + square
     size: Array = np.asarray(np.linalg.solve(whole, pull), np.float64)
     return float(0.5 * pull @ size - 0.5 * np.linalg.slogdet(whole)[1]), size
-
-
-def projected(null: PosteriorMode, observed: Observed, variant: Variant, error: Array | None = None
-              ) -> tuple[Array, Array]:
-    """Return g = EᵀC⁻¹e and G = EᵀC⁻¹E of a variant at the mode `null`; e: the error of the null."""
-    effect, applied = response(null, observed, variant, error)
-    return np.asarray(effect.T @ applied[:, 0]), np.asarray(effect.T @ applied[:, 1:])
 
 
 def response(null: PosteriorMode, observed: Observed, variant: Variant, further: Array | None = None
@@ -324,8 +349,7 @@ def own_error(at: PosteriorMode, observed: Observed, prior: Gaussian, variant: V
     motion and load.
     """
     table, without = at.table, at.q.copy()
-    healthy = prior.origin.copy()
-    healthy[list(table.free)] += prior.mean[:len(table.free)]
+    healthy = prior.coordinates(table)
     freed = [table.index[name] for direction in variant.directions for name in direction.along]
     without[freed] = healthy[freed]
     return np.asarray((observed.predicted(at.q) - observed.predicted(without))[:, None] * observed.features)

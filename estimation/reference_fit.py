@@ -17,7 +17,18 @@ from scipy.linalg import cho_factor, cho_solve
 
 from estimation.forward_model import ForwardModel, jacobian, predicted
 from estimation.likelihood_data import Recording
-from estimation.posterior import CLOSE, HUBER, LONGEST, Gaussian, Observed, PosteriorMode, bounded, loss, mode
+from estimation.posterior import (
+    CLOSE,
+    HUBER,
+    LONGEST,
+    Gaussian,
+    Observed,
+    PosteriorMode,
+    bounded,
+    descended,
+    loss,
+    mode,
+)
 from physics.laws import Array
 
 FEATURES: Final = 60
@@ -127,10 +138,7 @@ class ReferenceFit:
 
     def bench_coordinates(self) -> Array:
         """Return the coordinates of all constants at the posterior mean of the bench."""
-        q = self.origin.copy()
-        free = list(self.model.constants.free)
-        q[free] += self.bench.mean[:len(free)]
-        return q
+        return self.bench.coordinates(self.model.constants)
 
     def unlike(self, trial: Recording, source: str) -> str:
         """Return a sentence if the reference trials do not fit the model, so that they are of another rig; else "".
@@ -162,7 +170,7 @@ class ReferenceFit:
         states = [self.model.simulated_states(self.origin, trial) for trial in trials]
         made = [features(self.model, s, self.scaling, self.outputs) for s in states]
         beyond = [0.0 if self.reach is None else self.reach.exceeded(self.model.motion(t)) for t in trials]
-        weight = np.concatenate([1.0 / self._variance(t, s) for t, s in zip(trials, states, strict=True)])
+        weight = np.concatenate([1.0 / variance(self, t, s) for t, s in zip(trials, states, strict=True)])
         growth = np.concatenate([self._grown(t, excess) for t, excess in zip(trials, beyond, strict=True)])
         return Observed(self.model, trials, np.concatenate(made), weight, self.tau, self.cost, growth, max(beyond))
 
@@ -175,10 +183,6 @@ class ReferenceFit:
         growth = (self.model.unseen * observed.beyond) ** 2 * np.concatenate([constants, discrepancy])
         return replace(self.prior, covariance=self.prior.covariance + np.diag(growth * session))
 
-    def _growth(self, trial: Recording, data: Array) -> list[float]:
-        """Return the growth of the model error's variance with the signals in `data`, by output."""
-        return [self.model.growth(trial, name, trial.part(data, k)) for k, name in enumerate(self.outputs)]
-
     def _grown(self, trial: Recording, beyond: float) -> Array:
         """Return, by datum, the growth with the measured signals over that with the reference condition's.
 
@@ -190,13 +194,14 @@ class ReferenceFit:
         faster = (1.0 + beyond) ** 2 if self.model.pools_sessions else 1.0
         return np.repeat(faster * np.maximum(1.0, measured / np.maximum(expected, 1e-12)), trial.bins)
 
-    def _variance(self, trial: Recording, states: Array) -> Array:
-        quarter = np.searchsorted(self.scaling.quarters, states[self.model.load_state])
-        parts, growth = [], self._growth(trial, predicted(self.model, self.origin, trial))
-        for k, name in enumerate(self.outputs):
-            variance = growth[k] * self.model_error[k][quarter] + trial.noise_n[name] ** 2
-            parts.append((variance + self.model.unpredicted(self.origin, trial, name)) * self.tau[k])
-        return np.concatenate(parts)
+
+def variance(of: ReferenceFit | _Fit, trial: Recording, states: Array) -> Array:
+    """Return the variance of each datum of a trial by model error, which grows with the signals, and noise."""
+    quarter, expected = np.searchsorted(of.scaling.quarters, states[of.model.load_state]), predicted(
+        of.model, of.origin, trial)
+    return np.concatenate([of.tau[k] * (
+        of.model.growth(trial, name, trial.part(expected, k)) * of.model_error[k][quarter] + trial.noise_n[name] ** 2
+        + of.model.unpredicted(of.origin, trial, name)) for k, name in enumerate(of.outputs)])
 
 
 def features(model: ForwardModel, states: Array, scaling: Scaling, outputs: Sequence[str]) -> Array:
@@ -312,7 +317,7 @@ class _Fit:
     def _finished(self) -> ReferenceFit:
         """Descend with the last estimates of noise and discrepancy, and return the fit."""
         self._descend()
-        self.linear = [self._linearised(k) for k in range(len(self.trials))]
+        self.linear = self._linearised(self.at)
         self.scatter_n = self._missed()
         bench = self._bounded()
         # features stay those simulated at the origin: the states change by far less than the length scale
@@ -369,7 +374,7 @@ class _Fit:
 
     def _mean_cost(self) -> float:
         """Return the mean cost per datum of the reference trials at their modes."""
-        costs = [self._trial_cost(k, self.bench, x) / np.count_nonzero(self._weight(k)) for k, x in enumerate(self.at)]
+        costs = [self._trial_cost(k, self.bench, x) / np.count_nonzero(self.weight[k]) for k, x in enumerate(self.at)]
         return float(np.mean(costs))
 
     def _constants(self, x: Array) -> Array:
@@ -378,40 +383,29 @@ class _Fit:
         q[self.free] += x[:len(self.free)]
         return np.asarray(q)
 
-    def _descend(self, tries: int = 7) -> None:
-        """Move to the joint mode of bench and trials by damped Gauss–Newton steps (Marquardt 1963).
+    def _descend(self) -> None:
+        """Move to the joint mode of bench and trials."""
+        (self.bench, self.at), _, self.linear = descended(
+            (self.bench, self.at), lambda x: self._cost(*x), lambda x: self._linearised(x[1]), self._stepped,
+            self.close * len(self.trials))
 
-        `tries`: largest number of trial steps from one linearisation.
-        """
-        now, damping = self._cost(self.bench, self.at), 0.0
-        while True:
-            before, self.linear = now, [self._linearised(k) for k in range(len(self.trials))]
-            for _ in range(tries):
-                bench, at = self._stepped(damping)
-                then = self._cost(bench, at)
-                if then < now:
-                    self.bench, self.at, now = bench, at, then
-                    break
-                damping = max(10.0 * damping, 1.0)
-            damping = damping / 10.0 if damping > 1.0 else 0.0
-            if before - now < self.close * len(self.trials):
-                return
-
-    def _stepped(self, damping: float) -> tuple[Array, list[Array]]:
-        """Return bench and trials after a damped step on the linearised trials, at most `LONGEST` bench σ long.
+    def _stepped(self, x: tuple[Array, list[Array]], trials: Sequence[_Linear], damping: float
+                 ) -> tuple[Array, list[Array]]:
+        """Return bench and trials after a damped step on the linearised `trials`, at most `LONGEST` bench σ long.
 
         `damping`: weight of the squared step, in bench σ and session σ, beside the cost.
         """
+        bench, at = x
         free, scale, deviation = len(self.free), np.sqrt(self._bench_variance()), np.sqrt(self._session())
-        square, pull = (1.0 + damping) * np.eye(scale.size), -self.bench / scale
+        square, pull = (1.0 + damping) * np.eye(scale.size), -bench / scale
         pull[:free] += self._middle()
         eliminated = []
-        for x, linear in zip(self.at, self.linear, strict=True):
+        for own_x, linear in zip(at, trials, strict=True):
             weighed = linear.design.T * linear.weight
-            information, downhill = weighed @ linear.design, weighed @ (linear.error - linear.design @ x)
+            information, downhill = weighed @ linear.design, weighed @ (linear.error - linear.design @ own_x)
             inner = cho_factor((1.0 + damping) * np.eye(scale.size) + deviation[:, None] * information * deviation)
             side = deviation[:, None] * information * scale
-            own, across = cho_solve(inner, deviation * downhill - (x - self.bench) / deviation), cho_solve(inner, side)
+            own, across = cho_solve(inner, deviation * downhill - (own_x - bench) / deviation), cho_solve(inner, side)
             square += scale[:, None] * information * scale - side.T @ across
             pull += scale * downhill - side.T @ own
             eliminated.append((own, across))
@@ -419,7 +413,7 @@ class _Fit:
         moves = [scale * step + deviation * (own - across @ step) for own, across in eliminated]
         longest = max(float(np.abs(each[:free] / self.bench_sd).max()) for each in (scale * step, *moves))
         share = min(1.0, LONGEST / longest)
-        return self.bench + share * scale * step, [x + share * each for x, each in zip(self.at, moves, strict=True)]
+        return bench + share * scale * step, [own_x + share * each for own_x, each in zip(at, moves, strict=True)]
 
     def _cost(self, bench: Array, at: Sequence[Array]) -> float:
         """Return the joint cost of bench and trials: misfit, session deviations, prior of the bench."""
@@ -439,22 +433,21 @@ class _Fit:
     def _trial_cost(self, k: int, bench: Array, x: Array) -> float:
         """Return the cost of one trial at departures `x`: misfit and session deviation from the bench."""
         off = (x - bench) / np.sqrt(self._session())
-        return loss(self._residual(k, x), np.sqrt(self._weight(k))) + float(off @ off)
+        return loss(self._residual(k, x), np.sqrt(self.weight[k])) + float(off @ off)
 
     def _residual(self, k: int, x: Array) -> Array:
         trial = self.trials[k]
         told = predicted(self.model, self._constants(x), trial) + self.features[k] @ x[len(self.free):]
         return np.asarray(trial.data - told)
 
-    def _weight(self, k: int) -> Array:
-        return 1.0 / self._reference()._variance(self.trials[k], self.states[k])
-
-    def _linearised(self, k: int) -> _Linear:
-        x = self.at[k]
-        data, slopes = jacobian(self.model, self._constants(x), self.trials[k], self.free)
-        design = np.concatenate([slopes, self.features[k]], axis=1)
-        residual = self.trials[k].data - data - self.features[k] @ x[len(self.free):]
-        return _Linear(design, residual + design @ x, bounded(residual, self._weight(k)))
+    def _linearised(self, at: Sequence[Array]) -> list[_Linear]:
+        """Return each trial, linearised at its departure in `at`."""
+        found = []
+        for x, trial, own, weight in zip(at, self.trials, self.features, self.weight, strict=True):
+            data, slopes = jacobian(self.model, self._constants(x), trial, self.free)
+            design, residual = np.concatenate([slopes, own], axis=1), trial.data - data - own @ x[len(self.free):]
+            found.append(_Linear(design, residual + design @ x, bounded(residual, weight)))
+        return found
 
     def _recentre(self, q: Array) -> None:
         """Set the origin to `q`, simulate the states of the discrepancy there, and reset bench and trials to it."""
@@ -466,6 +459,12 @@ class _Fit:
         self._set_amplitude([self.trials[0].data - predicted(self.model, q, self.trials[0])], self.trials[:1])
         self.bench = np.zeros(len(self.free) + FEATURES * len(self.outputs))
         self.at = [self.bench for _ in self.trials]
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """Set the weight of each datum, by trial, from model error and noise."""
+        self.weight = [1.0 / variance(self, trial, states)
+                       for trial, states in zip(self.trials, self.states, strict=True)]
 
     def _set_amplitude(self, rest: Sequence[Array], trials: Sequence[Recording]) -> None:
         self.amplitude = np.array([
@@ -511,11 +510,6 @@ class _Fit:
         covariance = (axes / lengths) @ axes.T * scale[:, None] * scale
         return Gaussian(self.origin, scale * (axes @ (pull / lengths)), covariance), evidence
 
-    def _reference(self) -> ReferenceFit:
-        empty = Gaussian(self.origin, np.zeros(0), np.zeros((0, 0)))
-        return ReferenceFit(self.model, self.outputs, self.origin, empty, empty, self.scaling, self.model_error,
-                            self.tau, self.scatter_n, 1.0, self.reach)
-
     def _noise(self, least_share: float = 0.1) -> None:
         """Estimate model error by load quarter and autocorrelation from the residuals at the modes.
 
@@ -544,8 +538,9 @@ class _Fit:
         if self.model.pools_sessions:
             left = np.maximum(left - self.tau[:, None] * fitted, least_share * left) / POOLED
         self.model_error = np.maximum(squares / left, least)
+        self._weigh()
         self.identified = [(self._constants(x), x[len(self.free):]) for x in self.at]
-        self.linear = [self._linearised(k) for k in range(len(self.trials))]
+        self.linear = self._linearised(self.at)
 
     def _determined(self, k: int) -> Array:
         """Return by how much each datum of trial `k` determines its own prediction: diagonal of H(HᵀWH + P⁻¹)⁻¹HᵀW."""

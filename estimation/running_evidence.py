@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -22,9 +23,9 @@ from scipy.special import logsumexp
 
 from estimation.data.table import Table, table
 from estimation.likelihood_data import PathRecording
-from estimation.linear_sums import EffectColumns, effect_columns, slopes
+from estimation.linear_sums import EffectColumns, Sums, effect_columns, slopes, summed
 from estimation.outputs import predict
-from estimation.posterior import Observed, bounded
+from estimation.posterior import Observed, bayes_factor, bounded
 from estimation.reference_fit import ReferenceFit
 from physics.laws import Array
 from physics.path_constants import CONSTANTS, FREE, INDEX
@@ -57,14 +58,6 @@ class WatchVerdict:
         return {**self.__dict__, "suspected": list(self.suspected)}
 
 
-class CycleSums(NamedTuple):
-    """Sums of one cycle over its data: B, C and d of every effect column."""
-
-    cross: Array
-    square: Array
-    pull: Array
-
-
 class Naming(NamedTuple):
     """Rule by which an effect is named: threshold in nats by session; share of the best log Bayes factor from which an
     effect is in the ambiguity set."""
@@ -84,12 +77,11 @@ class RunningEvidence:
         self._size = reference.prior.mean.size
         self._precision = np.linalg.inv(reference.prior.covariance)
         self._beyond, self._least = -1.0, 0.0
-        self._square, self._pull = np.zeros_like(self._precision), np.zeros(self._size)
         self._x = np.zeros(self._size)
         self._variants = effect_columns(reference)
-        self._cycles: list[CycleSums] = []
-        count = self._variants[-1].at.stop
-        self._whole = CycleSums(np.zeros((self._size, count)), np.zeros((count, count)), np.zeros(count))
+        self._cycles: list[Sums] = []
+        count = self._size + self._variants[-1].at.stop
+        self._whole = Sums(np.zeros((count, count)), np.zeros(count))
         self._earlier = 0
 
     def add(self, cycle: int, window: Mapping[str, Array], begins_s: float) -> WatchVerdict | None:
@@ -115,35 +107,26 @@ class RunningEvidence:
         if observed.beyond > self._beyond:
             self._beyond, self._least = observed.beyond, self.naming.threshold(observed)
             self._precision = np.linalg.inv(self.reference.prior_of(observed).covariance)
-        q = self._coordinates(self._x)
-        base = slopes(self.reference.model, self._variants, q, recording)
+        base = slopes(self.reference.model, self._variants, self._null(), recording)
         design = np.concatenate([base.base, observed.features], axis=1)[inside]
-        columns = base.effects[inside]
-        residual = (recording.data - base.data - observed.features @ self._weights(self._x))[inside]
-        weight = bounded(residual, observed.weight[inside])
-        error = residual + design @ self._x
-        heavy = design.T * weight
-        self._square += heavy @ design
-        self._pull += heavy @ error
-        self._cycles.append(CycleSums(heavy @ columns, (columns.T * weight) @ columns, columns.T @ (weight * error)))
-        self._whole = _added(self._whole, self._cycles[-1])
+        weights = self.reference.prior.mean[len(FREE):] + self._x[len(FREE):]
+        residual = (recording.data - base.data - observed.features @ weights)[inside]
+        self._cycles.append(summed(design, base.effects[inside], residual + design @ self._x,
+                                   bounded(residual, observed.weight[inside])))
+        self._whole += self._cycles[-1]
         if len(self._cycles) > most:
-            self._cycles[:2] = [_added(*self._cycles[:2])]
+            self._cycles[:2] = [self._cycles[0] + self._cycles[1]]
             self._earlier += 1
 
-    def _coordinates(self, x: Array) -> Array:
-        """Return the coordinates of all constants at a departure from the prior's mean."""
-        q = self.reference.prior.origin.copy()
-        q[list(FREE)] += self.reference.prior.mean[:len(FREE)] + x[:len(FREE)]
-        return np.asarray(q)
-
-    def _weights(self, x: Array) -> Array:
-        return np.asarray(self.reference.prior.mean[len(FREE):] + x[len(FREE):])
+    def _null(self) -> Array:
+        """Return the coordinates of all constants at the present null mode."""
+        return self.reference.prior.coordinates(CONSTANTS, self._x[:len(FREE)])
 
     def _verdict(self, cycle: int, window: Mapping[str, Array], recording: PathRecording, inside: Flags
                  ) -> WatchVerdict:
-        inner = cho_factor(self._precision + self._square)
-        self._x = cho_solve(inner, self._pull)
+        size = self._size
+        inner = cho_factor(self._precision + self._whole.square[:size, :size])
+        self._x = cho_solve(inner, self._whole.pull[:size])
         likely = self._foremost(inner)
         rated: dict[str, tuple[float, int, EffectColumns, Array]] = {}
         for part in likely:
@@ -163,20 +146,25 @@ class RunningEvidence:
         """Return the `most` variants with the most evidence by the whole trial, and as many by the latest cycle."""
         chosen: dict[int, EffectColumns] = {}
         for sums in (self._whole, self._cycles[-1]):
-            carried = cho_solve(inner, sums.cross)
-            square, pull = sums.square - sums.cross.T @ carried, sums.pull - carried.T @ self._pull
-            gains = [_evidence(square[p.at, p.at], pull[p.at])[0] for p in self._variants]
+            square, pull = self._conditional(inner, sums, slice(0, sums.pull.size - self._size))
+            gains = [bayes_factor(square[p.at, p.at], pull[p.at])[0] for p in self._variants]
             chosen |= {int(k): self._variants[k] for k in np.argsort(gains)[::-1][:most]}
         return list(chosen.values())
 
+    def _conditional(self, inner: Any, sums: Sums, at: slice) -> tuple[Array, Array]:
+        """Return G and g of the effect columns `at` that act in the cycles of `sums`."""
+        own = slice(self._size + at.start, self._size + at.stop)
+        cross = sums.square[:self._size, own]
+        carried = cho_solve(inner, cross)
+        return (sums.square[own, own] - cross.T @ carried,
+                sums.pull[own] - carried.T @ self._whole.pull[:self._size])
+
     def _beginnings(self, inner: Any, part: EffectColumns) -> tuple[float, int, Array]:
         """Return evidence, likeliest first cycle and sizes of one variant, over all first cycles."""
-        after = [CycleSums(c.cross[:, part.at], c.square[part.at, part.at], c.pull[part.at]) for c in self._cycles]
-        sums = CycleSums(*(np.cumsum(np.stack(parts)[::-1], axis=0)[::-1] for parts in zip(*after, strict=True)))
-        found = []
-        for cross, square, pull in zip(*sums, strict=True):
-            carried = cho_solve(inner, cross)
-            found.append(_evidence(square - cross.T @ carried, pull - carried.T @ self._pull))
+        kept = [*range(self._size), *range(self._size + part.at.start, self._size + part.at.stop)]
+        after = accumulate(Sums(c.square[np.ix_(kept, kept)], c.pull[kept]) for c in self._cycles[::-1])
+        own = slice(0, part.at.stop - part.at.start)
+        found = [bayes_factor(*self._conditional(inner, sums, own)) for sums in after][::-1]
         nats = np.array([gain for gain, _ in found])
         prior = np.full(nats.size, -np.log(2.0))
         if nats.size > 1:
@@ -190,7 +178,7 @@ class RunningEvidence:
 
         `largest`: most σ of an effect that is simulated, as at the start of a fit.
         """
-        q = self._coordinates(self._x)
+        q = self._null()
         reference = q.copy()
         if part is not None:
             for name, value in part.variant.at.items():
@@ -205,17 +193,6 @@ class RunningEvidence:
             asked = recording.binned(given)[inside]
             desired = np.where(np.isfinite(asked), asked, desired)
         return float(np.sqrt(np.mean((end - desired) ** 2))), float(desired.max())
-
-
-def _added(one: CycleSums, other: CycleSums) -> CycleSums:
-    return CycleSums(*(a + b for a, b in zip(one, other, strict=True)))
-
-
-def _evidence(square: Array, pull: Array) -> tuple[float, Array]:
-    """Return the log Bayes factor of one variant, nats, and its sizes."""
-    whole = np.eye(pull.size) + square
-    size = np.linalg.solve(whole, pull)
-    return float(0.5 * pull @ size - 0.5 * np.linalg.slogdet(whole)[1]), np.asarray(size)
 
 
 def _recording(window: Mapping[str, Array], outputs: tuple[str, ...]) -> PathRecording:

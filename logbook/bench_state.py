@@ -241,8 +241,7 @@ def _dated(sequence: SessionSequence, numbers: Sequence[int], change: Change) ->
 
 def _courses(sequence: SessionSequence, variance: Array, change: Change | None) -> dict[str, ConstantCourse]:
     means, sds = sequence.constants(variance, change)
-    mean = sequence.fit.prior.origin.copy()
-    mean[list(FREE)] += sequence.fit.prior.mean[:len(FREE)]
+    mean = sequence.fit.prior.coordinates(PATH_MODEL.constants)
     found = {}
     for k, i in enumerate(FREE):
         row = TABLE[i]
