@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from scipy.signal import lfilter
 
 from estimation import likelihood_data, outputs
+from estimation.data import integrity, scales, table
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel
 from estimation.likelihood_data import GRID_S, SIGNALS, TAUT_N, PathRecording
+from parameters import InputError
 from physics import force_path
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import HYPOTHESES
@@ -172,6 +175,21 @@ def _regressed(trial: PathRecording) -> tuple[float, float, float] | None:
 
 
 PATH_MODEL: Final = PathModel()
+
+
+def usable_table(path: Path, force_path: str | None, remedy: str, motion: Sequence[str] = ()) -> Table:
+    """Return what a fit can use of a trial, of one force path of several; `motion`: columns that may be constant.
+
+    Raises `InputError` for contradictory data, and with the `remedy` if a needed column is missing.
+    """
+    given = table.read(path, force_path)
+    refused = [f.text for f in (*integrity.examine(given), *scales.contradictions(given)) if f.refuses]
+    if refused:
+        raise InputError(f"{path}: {refused[0]}")
+    plain = integrity.usable(given, motion)
+    if missing := PATH_MODEL.lacking(plain):
+        raise InputError(f"{path}: has no column {', '.join(missing)}; {remedy}.")
+    return plain
 
 
 def can_be_of_bench(trials: Sequence[Table], compressed: float = 0.1) -> bool:

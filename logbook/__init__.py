@@ -5,11 +5,10 @@ Modules, lowest first:
     database         one SQLite file
     change_cause     trials to diagnose for a change, and the diagnosis that is kept
     bench_state      state of the bench by the estimator's sequence of sessions
+    session_fits     reference posterior, and the sums of each trial under it
     maintenance      parts, and constants that a note resets
     bench_page       one HTML page
     logbook_tables   CSV and Parquet
-
-Callers read and fit the trials.
 
 Start reading in `database`, then `bench_state`.
 """

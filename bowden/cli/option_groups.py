@@ -103,12 +103,9 @@ def watched_bench(healthy: Sequence[Path] | None, logbook: Path | None, stop_on:
     from bowden.watch.file_watch import WatchedBench, refuse_stop_on
 
     refuse_stop_on(stop_on or (), "--stop-on")
-    if healthy:
-        deviations = None if logbook is None else logbook_entries.deviations(logbook)
-        return WatchedBench(tuple(healthy), deviations, tuple(stop_on or ()))
-    if logbook is None:
+    if not healthy and logbook is None:
         raise InputError("a watch compares with reference trials; name at least one with --healthy, or a --logbook.")
-    found, deviations = logbook_entries.reference_trials(logbook)
+    found, deviations = logbook_entries.reference_trials(logbook, healthy) if logbook else (healthy or [], None)
     return WatchedBench(tuple(found), deviations, tuple(stop_on or ()))
 
 

@@ -61,7 +61,13 @@ class ExperimentPlan:
 def of_trials(trials: Sequence[Path], healthy: Sequence[Path], session_sd: Mapping[str, float] | None = None
               ) -> ExperimentPlan:
     """Plan for trials of one session against reference trials; raises `InputError`."""
-    return _planned([_usable(path) for path in trials], [_usable(path) for path in healthy], session_sd)
+    from estimation.likelihood_data import MOTION
+    from estimation.path_model import usable_table
+
+    if not healthy:
+        raise InputError("bowden plan: no reference trial; name at least one with --healthy, or a --logbook.")
+    given, known = ([usable_table(path, None, "record it", MOTION) for path in group] for group in (trials, healthy))
+    return _planned(given, known, session_sd)
 
 
 def of_logbook(folder: Path) -> ExperimentPlan:
@@ -120,12 +126,6 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
     from estimation.path_model import PATH_MODEL
     from estimation.reference_fit import fit_reference
 
-    if not healthy:
-        raise InputError("bowden plan: no reference trial; name at least one with --healthy, or a --logbook.")
-    for given in (*trials, *healthy):
-        missing = PATH_MODEL.lacking(given)
-        if missing:
-            raise InputError(f"{given.source}: has no column {', '.join(missing)}; record it.")
     tried = tuple(sorted({t.experiment for t in trials} - {"", "gait"}))
     with threadpool_limits(1, user_api="blas"):
         walked = [PATH_MODEL.record(t) for t in healthy]
@@ -150,14 +150,3 @@ def _by_hand(among: Sequence[str]) -> dict[str, str]:
     named = [CATALOGUE[name].experiment for name in among]
     return {name: f"{EXPERIMENTS[name].by_hand}; {EXPERIMENTS[name].around}" for name in named
             if EXPERIMENTS[name].by_hand}
-
-
-def _usable(path: Path) -> Table:
-    from estimation.data import integrity, table
-    from estimation.likelihood_data import MOTION
-
-    given = table.read(path)
-    refused = [f.text for f in integrity.examine(given) if f.refuses]
-    if refused:
-        raise InputError(f"{path}: {refused[0]}")
-    return integrity.usable(given, MOTION)

@@ -1,16 +1,21 @@
-"""Trials into a logbook: figures, date, and the sums of the trial under the bench's one reference posterior."""
+"""Trials into a logbook: figures, date and session; and a trial against the history of its bench."""
 
 from __future__ import annotations
 
 import datetime
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from logbook.bench_state import CONSTANTS, sequence_of
-from logbook.database import UNFITTED, Logbook, NewTrial, TrialEntry, open_logbook
+from threadpoolctl import threadpool_limits
+
+from estimation.data import table
+from estimation.linear_sums import session_sums
+from logbook.bench_state import CONSTANTS, measured_deviations, sequence_of
+from logbook.database import NewTrial, TrialEntry, open_logbook
+from logbook.session_fits import fit_missing, recording_of
 from parameters import InputError
 from physics.path_constants import FREE, TABLE
 from trial import read
@@ -18,12 +23,7 @@ from trial.paths import names, one_path
 
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
-    from estimation.likelihood_data import Recording
-    from estimation.reference_fit import ReferenceFit
 
-MOST_REFERENCES: Final = 4
-"""Trials of the reference fit, and of the reference of a diagnosis: each costs seconds, and more add less than sessions
-scatter."""
 EPOCH_NS: Final = 10**17
 """Time of a recording, ns, from which it is a date and not a time since the start: 1973."""
 FIGURES: Final = ("relative_rmse_percent", "relative_rmse_window_percent", "max_idle_tension_n", "peak_jump_n")
@@ -67,14 +67,16 @@ def add_model(folder: Path, kind: str, path: Path) -> None:
         book.enter_model(kind, path, path.read_text(encoding="utf-8"))
 
 
-def reference_trials(folder: Path) -> tuple[list[Path], dict[str, float] | None]:
-    """Return the trials of the reference posterior, and 1σ of each constant between sessions.
+def reference_trials(folder: Path, healthy: Sequence[Path] | None = None
+                     ) -> tuple[list[Path], dict[str, float] | None]:
+    """Return reference trials, those of the posterior if none are given as `healthy`, and 1σ between sessions.
 
-    Raises `InputError` where no reference session has a trial whose file is there.
+    1σ: of each constant, in coordinates; None before two reference sessions.  Raises `InputError` where no reference
+    session has a trial whose file is there.
     """
-    from logbook.bench_state import measured_deviations
-
     with open_logbook(folder) as book:
+        if healthy:
+            return list(healthy), measured_deviations(book)
         kept = book.reference()
         trials = [book.trials(1, trial=number)[0] for number in (() if kept is None else kept.trials)]
         found = [book.place(trial.path) for trial in trials if trial.there]
@@ -91,14 +93,6 @@ def path_of(folder: Path) -> str | None:
         return book.path or None
 
 
-def deviations(folder: Path) -> dict[str, float] | None:
-    """Return 1σ of each constant between sessions, in coordinates; None before two reference sessions."""
-    from logbook.bench_state import measured_deviations
-
-    with open_logbook(folder) as book:
-        return measured_deviations(book)
-
-
 def against_history(folder: Path, path: Path) -> dict[str, Any]:
     """Return how far a trial lies from its bench's own history, constant by constant; the logbook is not changed.
 
@@ -106,19 +100,14 @@ def against_history(folder: Path, path: Path) -> dict[str, Any]:
     the reference condition departs as far in all constants together.  A session of the logbook is compared with the
     others.
     """
-    from threadpoolctl import threadpool_limits
-
-    from estimation.linear_sums import session_sums
-
-    with open_logbook(folder) as book:
+    with open_logbook(folder) as book, threadpool_limits(1, user_api="blas"):
         described = _described(path, None, book.path)
         followed = sequence_of(book, without=book.session_of(described.digest))
         if followed is None or followed[1].count < 2:
             raise InputError(f"{folder}: has fewer than two other fitted sessions; bowden logbook add enters trials.")
         sequence = followed[1]
-        with threadpool_limits(1, user_api="blas"):
-            own = session_sums(sequence.fit, sequence.columns, [_recording_of(path, described.outcome, book.path)])
-            departure, scatters, probability = sequence.departure(own, sequence.search()[1])
+        own = session_sums(sequence.fit, sequence.columns, [recording_of(path, described.outcome, book.path)])
+        departure, scatters, probability = sequence.departure(own, sequence.search()[1])
         return {"trial": str(path), "logbook": str(folder), "sessions": sequence.count, "probability": probability,
                 "constants": {name: {"departure": float(departure[k]), "scatters": float(scatters[k]),
                                      "form": TABLE[FREE[k]].form, "unit": TABLE[FREE[k]].unit}
@@ -132,126 +121,11 @@ def add_verdict(folder: Path, path: Path, content: Mapping[str, Any]) -> None:
         book.enter_verdict(entry.id, content)
 
 
-def fit_missing(book: Logbook) -> None:
-    """Fit every trial that is not fitted under the reference of the first sessions by date.
-
-    A trial that cannot be fitted is remarked on.  An earlier session that is entered later makes the reference, and all
-    fits, anew, so that the order of entry has no influence; if a file for that is gone, the reference stays.
-    """
-    while True:
-        kept, wanted = book.reference(), _wanted(book)
-        renewed = kept is None or (kept.trials != wanted and all(
-            trial.there for trial in book.trials() if trial.estimated or trial.id in wanted))
-        if wanted and renewed:
-            _make_reference(book, wanted, None if kept is None else kept.id)
-            continue
-        waiting = [] if kept is None else book.unfitted()
-        if not waiting:
-            return
-        assert kept is not None
-        _fit(book, kept.id, reference_model(book), waiting)
-
-
-def _wanted(book: Logbook) -> tuple[int, ...]:
-    """Return the trials of the reference: of each of the first sessions by date the first usable one, by its digest."""
-    found: list[int] = []
-    for session in book.sessions():
-        if len(found) == min(book.references, MOST_REFERENCES):
-            break
-        usable = [t.id for t in book.trials(session=session.id) if t.estimated or t.remark == UNFITTED]
-        found += sorted(usable, key=book.digest)[:1]
-    return tuple(found)
-
-
-def _make_reference(book: Logbook, wanted: tuple[int, ...], after: int | None) -> None:
-    """Fit the reference to the trials `wanted` and enter it; a trial that cannot be read is remarked on instead."""
-    from threadpoolctl import threadpool_limits
-
-    from estimation.path_model import PATH_MODEL
-    from estimation.posterior import CLOSE
-    from estimation.reference_fit import fit_reference
-    from estimation.stored_fit import encoded
-
-    recordings: list[Recording] = []
-    for number in wanted:
-        entry = book.trials(1, trial=number)[0]
-        try:
-            recordings.append(_recording_of(book.place(entry.path), entry.outcome, book.path))
-            _refuse_other_outputs(recordings[-1], recordings[0].outputs)
-        except InputError as error:
-            book.enter_remark(number, str(error))
-            return
-    with threadpool_limits(1, user_api="blas"):
-        made = fit_reference(PATH_MODEL, recordings, close=0.1 * CLOSE)
-    book.enter_reference(CONSTANTS, wanted, encoded(made), after)
-
-
-def _fit(book: Logbook, key: int, fit: ReferenceFit, waiting: list[int]) -> None:
-    """Enter the sums of trials under the reference `key`, until another process has made a newer one."""
-    from threadpoolctl import threadpool_limits
-
-    from estimation.linear_sums import effect_columns, session_sums
-
-    columns = effect_columns(fit)
-    for number in waiting:
-        entry = book.trials(1, trial=number)[0]
-        try:
-            recording = _recording_of(book.place(entry.path), entry.outcome, book.path)
-            _refuse_other_outputs(recording, fit.outputs)
-        except InputError as error:
-            book.enter_remark(number, str(error))
-            continue
-        with threadpool_limits(1, user_api="blas"):
-            found = session_sums(fit, columns, [recording])
-        if not book.enter_sums(number, key, found):
-            return
-
-
-def reference_model(book: Logbook) -> ReferenceFit:
-    """Return the newest reference posterior."""
-    from estimation.path_model import PATH_MODEL
-    from estimation.stored_fit import decoded
-
-    kept = book.reference()
-    if kept is None or kept.constants != CONSTANTS:
-        raise InputError(f"{book.folder}: its reference has other constants than this version's bench model; make a "
-                         "logbook anew and add the trials.")
-    return decoded(kept.model, PATH_MODEL)
-
-
-def _refuse_other_outputs(recording: Recording, outputs: tuple[str, ...]) -> None:
-    if recording.outputs != outputs:
-        raise InputError(f"{recording.source}: has the outputs {', '.join(recording.outputs)}, the reference "
-                         f"sessions have {', '.join(outputs)}; enter it in a logbook of its own.")
-
-
-def _recording_of(path: Path, outcome: str | None, force_path: str) -> Recording:
-    """Read the inputs of the likelihood, of the force path of a trial of several; raises `InputError` if one lacks."""
-    from estimation.data import integrity, scales, table
-    from estimation.path_model import PATH_MODEL
-
-    if outcome not in (None, "completed"):
-        raise InputError(f"{path}: the trial is {outcome}; only completed trials are fitted.")
-    if not path.exists():
-        raise InputError(f"{path}: no such file; put it back, or add it again from where it is now.")
-    given = table.read(path, force_path or None)
-    refused = [f.text for f in (*integrity.examine(given), *scales.contradictions(given)) if f.refuses]
-    if refused:
-        raise InputError(f"{path}: {refused[0]}")
-    plain = integrity.usable(given)
-    missing = PATH_MODEL.lacking(plain)
-    if missing:
-        raise InputError(f"{path}: has no column {', '.join(missing)}; record it.")
-    return PATH_MODEL.record(plain)
-
-
 def _described(path: Path, figures: Mapping[str, Any] | None, force_path: str) -> NewTrial:
     """Return a file as the logbook keeps it; raises `InputError` for one that is neither a trial nor a table.
 
     `force_path`: the one of a trial of several whose figures are kept.
     """
-    from estimation.data import table
-
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:

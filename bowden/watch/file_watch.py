@@ -18,10 +18,9 @@ from bowden.watch.gait_windows import GaitWindow, GaitWindows
 from diagnosis.evidence.decision import SET_SHARE, threshold
 from diagnosis.finder import Finder
 from diagnosis.findings import Findings
-from estimation.data import integrity, scales, table
 from estimation.data.table import Table
-from estimation.likelihood_data import SIGNALS, PathRecording, lacking
-from estimation.path_model import PATH_MODEL
+from estimation.likelihood_data import SIGNALS, PathRecording
+from estimation.path_model import PATH_MODEL, usable_table
 from estimation.reference_fit import fit_reference
 from estimation.running_evidence import Naming, RunningEvidence, WatchVerdict
 from parameters import InputError
@@ -68,7 +67,7 @@ class FileWatch:
 
     def __init__(self, path: Path, bench: WatchedBench, *, replaced: bool = False) -> None:
         self._bench, self._file = bench, GrowingTrial(path, replaced=replaced)
-        self._tables = [_usable(path, bench.path) for path in bench.healthy]
+        self._tables = [usable_table(path, bench.path, "give reference trials that have") for path in bench.healthy]
         self._windows: GaitWindows | None = None
         self._evidence: dict[tuple[str, ...], RunningEvidence] = {}
         self._of(tuple(n for n in SIGNALS if all(n in t for t in self._tables)))
@@ -145,17 +144,6 @@ def as_json(found: Findings) -> dict[str, Any]:
     """Return the part of a diagnosis that a watch reports."""
     whole = found.as_json()
     return {name: whole[name] for name in ("verdict", "causes", "class", "experiment", "warnings")}
-
-
-def _usable(path: Path, force_path: str | None) -> Table:
-    given = table.read(path, force_path)
-    refused = [f.text for f in (*integrity.examine(given), *scales.contradictions(given)) if f.refuses]
-    if refused:
-        raise InputError(f"{path}: {refused[0]}")
-    missing = lacking(integrity.usable(given))
-    if missing:
-        raise InputError(f"{path}: has no column {', '.join(missing)}; give reference trials that have.")
-    return integrity.usable(given)
 
 
 def _only(given: Table, outputs: Sequence[str]) -> Table:

@@ -139,8 +139,7 @@ def _of_logbook(logbook: Path, healthy: list[Path] | None, trials: list[Path]
     from bowden.trials import session
 
     session.refuse_no_logbook(logbook)
-    found, deviations = logbook_entries.reference_trials(logbook) if not healthy else (
-        healthy, logbook_entries.deviations(logbook))
+    found, deviations = logbook_entries.reference_trials(logbook, healthy)
     same = {trial.resolve() for trial in trials}
     return [path for path in found if path.resolve() not in same], deviations
 

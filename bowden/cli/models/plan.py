@@ -45,8 +45,7 @@ def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logb
         if model is not None:
             found = experiment_plan.of_model(model)
         elif trials:
-            known, deviations = logbook_entries.reference_trials(logbook) if logbook and not healthy else (
-                healthy or [], None)
+            known, deviations = logbook_entries.reference_trials(logbook, healthy) if logbook else (healthy or [], None)
             same = {path.resolve() for path in trials}
             path = path or (logbook_entries.path_of(logbook) if logbook else None)
             references = [p for p in known if p.resolve() not in same]
