@@ -1,4 +1,4 @@
-"""The paper's formulas (1)–(15), each once, as pure functions.
+"""The paper's formulas (1)–(11), each once, as pure functions.
 
 SI and radians in and out, arrays welcome, the equation number in the docstring. Paper: Li, Ma, Wang, Appl. Sci. 2023,
 13, 11766. Its constants are in mm, N, degrees and % of the gait cycle; they keep those units here, with the unit in
@@ -30,14 +30,10 @@ FORCE_END_PERCENT: Final = 30.0
 STIFFNESS_A_MM_N2: Final = -0.0017
 STIFFNESS_B_MM_N: Final = 0.3
 STIFFNESS_C_MM: Final = 9.7
-STIFFNESS_TURNING_N: Final = STIFFNESS_B_MM_N / (-2.0 * STIFFNESS_A_MM_N2)
 STIFFNESS_KNEE_PERCENT: Final = 13.0
 
 SWING_K_MM_DEG: Final = 0.706
 SWING_P_MM: Final = 22.17
-
-IMPEDANCE_B: Final = 0.1 / MILLI
-IMPEDANCE_K: Final = 0.3 / MILLI
 
 
 def knee_angle(percent: T, derivative: int = 0) -> T:
@@ -105,38 +101,6 @@ def stiffness_displacement(force_n: T) -> T:
     return MILLI * (STIFFNESS_A_MM_N2 * force_n**2 + STIFFNESS_B_MM_N * force_n + STIFFNESS_C_MM)
 
 
-def stiffness_slope(force_n: T) -> T:
-    """Return dx1/dF of (10), m/N."""
-    return MILLI * (2.0 * STIFFNESS_A_MM_N2 * force_n + STIFFNESS_B_MM_N)
-
-
 def swing_displacement(knee_rad: T) -> T:
     """Return the rope displacement x2 of (11), m, in the paper's own zero, which is not that of (10)."""
     return MILLI * (SWING_K_MM_DEG * (knee_rad / DEGREE) + SWING_P_MM)
-
-
-def rope_position(force_n: T, knee_rad: T) -> T:
-    """Return x1(F) + k2·(θk − θk(13 %)), m: (10) and (11) joined in the encoder zero of (10)."""
-    at_fit = knee_angle(STIFFNESS_KNEE_PERCENT)
-    return stiffness_displacement(force_n) + (swing_displacement(knee_rad) - swing_displacement(at_fit))
-
-
-def impedance_response(
-    s: complex, damping: float = IMPEDANCE_B, stiffness: float = IMPEDANCE_K, mass: float = 0.0
-) -> complex:
-    """Return H(s) = Δx/Fe = 1/(M·s² + B·s + K), m/N: (14) solved for the transfer function (15)."""
-    return 1.0 / (mass * s * s + damping * s + stiffness)
-
-
-def impedance_step(
-    displacement_m: float, error_n: float, dt_s: float,
-    damping: float = IMPEDANCE_B, stiffness: float = IMPEDANCE_K,
-) -> float:
-    """Return Δx, m, after `dt_s` of a held force error: (15) with M neglected, integrated exactly.
-
-    `damping` > 0 in N·s/m; `stiffness` ≥ 0 in N/m.
-    """
-    if stiffness == 0.0:
-        return displacement_m + error_n * dt_s / damping
-    equilibrium = error_n / stiffness
-    return equilibrium + (displacement_m - equilibrium) * float(np.exp(-stiffness / damping * dt_s))

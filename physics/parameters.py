@@ -93,6 +93,12 @@ class Parameter:
 _P = Parameter
 _T = Tolerance
 
+
+def _measured(name: str, unit: str, meaning: str, value: float, low: float, high: float, source: str) -> Parameter:
+    """Return a scalar of a calibration that the simulation does not have, so that its value is an assumption."""
+    return Parameter(name, unit, meaning, value, low, high, source, assumed=Assumed(value, low, high, source))
+
+
 _FRICTION: Final = (
     _P("mu1", "", "friction coefficient μ1 of rope and sheath", 0.08, 0.0, 0.5,
        "assumed: lubricated steel in a lined sheath; with theta1 an exponent of 0.126", plant="plant.mu1",
@@ -386,18 +392,16 @@ _WIRE: Final = (
        likely=(0.005, 0.2), neutral=0.0),
 )
 _MEASURED: Final = (
-    _P("stiffness_a", "m/N²", "quadratic term of the stretch", -1.7e-6, -1e-4, 0.0, "equation (10), ak",
-       assumed=Assumed(-1.7e-6, -1e-4, 0.0, "equation (10), ak")),
-    _P("stiffness_b", "m/N", "linear term of the stretch", 3e-4, 1e-6, 1e-2, "equation (10), bk",
-       assumed=Assumed(3e-4, 1e-6, 1e-2, "equation (10), bk")),
-    _P("stretch_short", "m/N", "departure of the stretch from (10) that fades over 8 N, s1", 0.0, -1e-2, 1e-2,
-       "(10): none", assumed=Assumed(0.0, -1e-2, 1e-2, "(10): none")),
-    _P("stretch_wide", "m/N", "departure of the stretch from (10) that fades over 30 N, s2", 0.0, -1e-2, 1e-2,
-       "(10): none", assumed=Assumed(0.0, -1e-2, 1e-2, "(10): none")),
-    _P("identified_to", "N", "START tension up to which the bench was identified", 300.0, 1.0, 300.0,
-       "neutral: no bound", assumed=Assumed(300.0, 1.0, 300.0, "neutral: no bound")),
-    _P("swing_p", "m", "encoder position at the upright knee under 20 N", 22.17e-3, -1.0, 1.0, "equation (11), p2",
-       assumed=Assumed(22.17e-3, -1.0, 1.0, "equation (11), p2")),
+    _measured("stiffness_a", "m/N²", "quadratic term of the stretch", -1.7e-6, -1e-4, 0.0, "equation (10), ak"),
+    _measured("stiffness_b", "m/N", "linear term of the stretch", 3e-4, 1e-6, 1e-2, "equation (10), bk"),
+    _measured("stretch_short", "m/N", "departure of the stretch from (10) that fades over 8 N, s1", 0.0, -1e-2, 1e-2,
+              "(10): none"),
+    _measured("stretch_wide", "m/N", "departure of the stretch from (10) that fades over 30 N, s2", 0.0, -1e-2, 1e-2,
+              "(10): none"),
+    _measured("identified_to", "N", "START tension up to which the bench was identified", 300.0, 1.0, 300.0,
+              "neutral: no bound"),
+    _measured("swing_p", "m", "encoder position at the upright knee under 20 N", 22.17e-3, -1.0, 1.0,
+              "equation (11), p2"),
     _P("cable_exponent", "", "capstan exponent of the cable, μ1·θ", 0.08 * math.pi / 2, 0.0, 1.0, "mu1, theta1",
        assumed=Assumed(0.13, 0.0, 1.0, "assumed: equation (3) gives the law, the paper no number")),
     _P("cable_compliance", "m/N", "stretch of the rope on the START side of the friction", 0.024e-3 + 0.5 * 0.008e-3,
@@ -415,15 +419,12 @@ _MEASURED: Final = (
     _P("fabric_share", "", "share of the fabric's stretch on the rope's side of the knee", 0.425, 0.0, 1.0,
        "fabric_share_before and half of what lies on the knee",
        assumed=Assumed(0.4, 0.0, 1.0, "assumed: geometry")),
-    _P("start_lag", "s", "time by which START's reading lags its force", 1e-3, 0.0, 0.1,
-       "assumed: a low-pass of 200 Hz and half a sampling interval",
-       assumed=Assumed(1e-3, 0.0, 0.1, "assumed: a low-pass of 200 Hz and half a sampling interval")),
-    _P("homed_friction", "", "friction that homing finds where it is what was identified", 1.0, 0.5, 2.0,
-       "assumed: the model is the bench",
-       assumed=Assumed(1.0, 0.5, 2.0, "assumed: the model is the bench")),
-    _P("homed_softness", "", "stretch that homing finds where it is what was identified", 1.0, 0.5, 2.0,
-       "assumed: the model is the bench",
-       assumed=Assumed(1.0, 0.5, 2.0, "assumed: the model is the bench")),
+    _measured("start_lag", "s", "time by which START's reading lags its force", 1e-3, 0.0, 0.1,
+              "assumed: a low-pass of 200 Hz and half a sampling interval"),
+    _measured("homed_friction", "", "friction that homing finds where it is what was identified", 1.0, 0.5, 2.0,
+              "assumed: the model is the bench"),
+    _measured("homed_softness", "", "stretch that homing finds where it is what was identified", 1.0, 0.5, 2.0,
+              "assumed: the model is the bench"),
 )
 
 PARAMETERS: Final[Mapping[str, Parameter]] = {

@@ -17,8 +17,6 @@ LOAD_N: Final = 40.0
 LEAST_LOAD: Final = 0.05
 TANGENT_FROM: Final = 0.9
 """Share of the turning tension −b/2a of (10) above which the stretch goes on along its tangent."""
-EXPONENTIAL: Final = 1e-3
-"""Distance of a pre-sliding shape from 1 within which it counts as 1."""
 
 
 @njit(inline="always")
@@ -35,42 +33,6 @@ def presliding_step(s: float, travel: float) -> float:
     """Return the same after a small `travel`, in units of δ, to first order: the simulation's; |s| ≤ 1 is kept."""
     dz = min(1.0, max(-1.0, travel))
     return s + dz - s * abs(dz)
-
-
-@njit(inline="always")
-def presliding_shaped(s: float, travel: float, distance: float, shape: float) -> float:
-    """Return the state of ds/dx = (1 − s·sgn v)^i/δ after `travel`, m, exact for one direction; i the `shape`.
-
-    1 is `presliding`, 0 a stop that yields at once.  Source: Dahl 1968.
-    """
-    if travel == 0.0:
-        return s
-    end = 1.0 if travel > 0.0 else -1.0
-    return presliding_from(presliding_left(s, end, shape), end, abs(travel) / distance, shape)[0]
-
-
-@njit(inline="always")
-def presliding_left(s: float, end: float, shape: float) -> float:
-    """Return (1 − s·end)^(1 − i): the remaining part of `presliding_shaped` before any travel towards `end`, ±1."""
-    left = 1.0 - s * end
-    power = 1.0 - shape
-    return left if left <= 0.0 or abs(power) < EXPONENTIAL else left**power
-
-
-@njit(inline="always")
-def presliding_from(before: float, end: float, travel: float, shape: float) -> tuple[float, float]:
-    """Return the state after `travel` ≥ 0, in units of δ, towards `end` from `presliding_left`, and |ds/d travel|."""
-    power = 1.0 - shape
-    if before <= 0.0:
-        return end, 0.0
-    if abs(power) < EXPONENTIAL:
-        left = before * math.exp(-travel)
-        return end * (1.0 - left), left
-    rest = before - power * travel
-    if rest <= 0.0:
-        return end, 0.0
-    left = rest ** (1.0 / power)
-    return end * (1.0 - left), left / rest
 
 
 @njit(inline="always")

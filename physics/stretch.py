@@ -2,12 +2,12 @@
 
 x(F) = c + b·F + a·F² + s1·g1(F) + s2·g2(F), linear in its five scalars. g is d·(1 − e^(−F/d)) for d = 8 N and 30 N,
 less the parabola nearest to it over 0…60 N. So a, b and c keep their meaning in (10), and s1 and s2 describe shapes
-outside any parabola: a toe, or a stretch that saturates.
+outside any parabola: a toe, or a stretch that saturates.  `of`: a calibration, which has the scalars.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -16,25 +16,6 @@ WIDE_N: Final = 30.0
 """Forces that the two saturating terms are scaled with, N."""
 FITTED_N: Final = 60.0
 """The parabola is nearest over 0…60 N: the range of (10), and below it."""
-
-
-class Stretch(Protocol):
-    """Scalars of a calibration that define the stretch."""
-
-    @property
-    def stiffness_a(self) -> float: ...
-
-    @property
-    def stiffness_b(self) -> float: ...
-
-    @property
-    def rope_zero(self) -> float: ...
-
-    @property
-    def stretch_short(self) -> float: ...
-
-    @property
-    def stretch_wide(self) -> float: ...
 
 
 def saturating(force: Any, scale_n: float) -> Any:
@@ -53,7 +34,7 @@ _SHORT: Final = _nearest(SHORT_N)
 _WIDE: Final = _nearest(WIDE_N)
 
 
-def coefficients(of: Stretch) -> tuple[float, float, float]:
+def coefficients(of: Any) -> tuple[float, float, float]:
     """(constant m, quadratic m/N², linear m/N) beside s1·8 N·(1 − e^(−F/8 N)) + s2·30 N·(1 − e^(−F/30 N))."""
     short, wide = of.stretch_short, of.stretch_wide
     quadratic, linear, constant = (
@@ -62,21 +43,21 @@ def coefficients(of: Stretch) -> tuple[float, float, float]:
     return constant, quadratic, linear
 
 
-def position(of: Stretch, force: Any) -> Any:
+def position(of: Any, force: Any) -> Any:
     """x(F), m, at a force, N; arrays welcome."""
     constant, quadratic, linear = coefficients(of)
     return constant + (quadratic * force + linear) * force + of.stretch_short * saturating(
         force, SHORT_N) + of.stretch_wide * saturating(force, WIDE_N)
 
 
-def slope(of: Stretch, force: Any) -> Any:
+def slope(of: Any, force: Any) -> Any:
     """dx/dF, m/N, at a force, N."""
     _, quadratic, linear = coefficients(of)
     return (2.0 * quadratic * force + linear + of.stretch_short * np.exp(-np.asarray(force) / SHORT_N)
             + of.stretch_wide * np.exp(-np.asarray(force) / WIDE_N))
 
 
-def limit_n(of: Stretch, least_m_n: float, highest_n: float = 300.0) -> float:
+def limit_n(of: Any, least_m_n: float, highest_n: float = 300.0) -> float:
     """Force, N, at which the slope falls to `least_m_n`, at most `highest_n`."""
     force = np.linspace(0.0, highest_n, 3001)
     flat = np.flatnonzero(slope(of, force) <= least_m_n)

@@ -58,7 +58,8 @@ def test_none_is_stretch_and_swing_alone() -> None:
     knee = config_.gait.knee[i]
     outputs, state, _ = paper.step(seen(i, 123.0, knee), paper.PaperState(), config_)
     desired = config_.gait.desired[i]
-    assert outputs.servo_target_m == pytest.approx(float(laws.rope_position(desired, knee)), abs=1e-9)
+    swung = laws.swing_displacement(knee) - laws.swing_displacement(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
+    assert outputs.servo_target_m == pytest.approx(float(laws.stiffness_displacement(desired) + swung), abs=1e-9)
     assert outputs.knee_target_rad == knee
     assert state.deviation_m == 0.0
 
@@ -110,10 +111,6 @@ def test_impedance_is_first_order_with_the_papers_gain_and_time_constant() -> No
         _, state, _ = paper.step(seen(i, start, knee), state, config_)
     expected = (1.0 - math.exp(-steps / RATE * 3.0)) / 300.0
     assert state.deviation_m == pytest.approx(expected, rel=1e-9)
-    by_law = 0.0
-    for _ in range(steps):
-        by_law = laws.impedance_step(by_law, 1.0, 1.0 / RATE)
-    assert state.deviation_m == pytest.approx(by_law, rel=1e-9)
 
 
 def test_impedance_forgets_while_the_rope_is_slack() -> None:
