@@ -195,7 +195,7 @@ def _value(where: str, key: str, p: Parameter, row: Any) -> float:
 
 
 def _accepted(p: Parameter) -> tuple[float, float]:
-    """Return the bounds of a value in a file: those of a measurement and, where a relation reads it, of a fit."""
+    """Return the bounds of a value in a file: those of a measurement, and of a fit if one estimates it."""
     low, high = p.rig_bounds if p.assumed is None else (p.assumed.low, p.assumed.high)
     if p.is_estimated:
         low, high = min(low, p.low), max(high, p.high)

@@ -1,4 +1,4 @@
-"""Compiled steps that simulation, inverse and relations share: pre-sliding, Stribeck, load, stretch, capstan.
+"""Compiled steps that simulation, inverse and effects share: pre-sliding, Stribeck, load, stretch, capstan.
 
 Each equation of the rope path exists here once, for one node and one sample; the caller chooses the number of nodes
 and the unknown to solve for. `s` is a pre-sliding state, −1…1; SI. numba's cache of a caller does not see a change in

@@ -13,10 +13,10 @@ from physics.effects.separating_experiments import EXPERIMENTS
 
 HEAD = """# Effects
 
-What can make a bench differ from its simulation. Generated from `physics/effects/catalogue.py` by
+What can make a bench differ from its simulation. Generated from `physics/effects/declarations.py` by
 `python -m physics.effects.catalogue_page docs/effects.md`; change the declarations, not this page. Values are SI.
 *Likely* is where a search starts; *bounds* are hard. *Neutral* is the value at which an effect is absent, — where
-only a calibration knows the healthy one. Relations are those between measured signals that an effect disturbs.
+only a calibration knows the healthy one.
 """
 
 
