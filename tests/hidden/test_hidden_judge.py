@@ -184,12 +184,6 @@ def test_the_page_s_list_of_identifiable_effects_is_the_judge_s() -> None:
     assert tuple(re.findall(r"\w+", told)) == bars.IDENTIFIABLE
 
 
-def test_every_test_that_the_page_names_is_there() -> None:
-    named = re.findall(r"`(tests/[\w/]+\.py)`", run.DOCS.read_text(encoding="utf-8"))
-    assert len(named) > 10
-    assert all(Path(name).is_file() for name in named)
-
-
 def test_only_what_stands_between_the_marks_is_written(tmp_path: Path) -> None:
     path = tmp_path / "page.md"
     path.write_text("before\n<!-- a: begin -->\nold\n<!-- a: end -->\nafter\n", encoding="utf-8")
