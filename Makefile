@@ -19,7 +19,7 @@ test: $(VENV)/.installed-test
 	$(PYTEST)
 
 test-all: test
-	$(PYTEST) -m "(exhaustive or faults or hidden) and not socketcan"
+	$(PYTEST) -m "(slow or exhaustive or faults or hidden) and not socketcan"
 
 check: $(VENV)/.installed-test
 	$(BIN)/ruff check .

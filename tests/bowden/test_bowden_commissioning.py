@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from bowden.testing import CanBus
 from eds import packaged
 from physics.calibration import nominal, write
@@ -16,6 +18,7 @@ from physics.calibration import nominal, write
 PAGE = (Path(__file__).parents[2] / "docs" / "commissioning.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_page_shows_what_its_commands_print(bowden: Callable[..., Any], can_bus: CanBus, here: Path) -> None:
     (here / "eds").mkdir()
     shutil.copy(packaged("knee_drive"), here / "eds" / "drive.eds")

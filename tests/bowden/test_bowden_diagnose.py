@@ -247,6 +247,7 @@ def nominal(path: Path, columns: Columns) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_on_the_packaged_calibration_no_cause_is_named_anywhere(here: Path, bowden: Run, walked: Columns) -> None:
     """A trial that ran on it, END 3 N off: terminal and page ask for an identification first."""
     nominal(here / "a.mcap", walked)

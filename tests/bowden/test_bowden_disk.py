@@ -31,6 +31,7 @@ def limited(folder: Path, *arguments: str) -> dict[str, object]:
     return answer
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_a_trial_safely_with_its_file_whole(tmp_path: Path) -> None:
     result = limited(tmp_path, "trial", "--cycles", "2", "-o", "full.mcap")
     assert result["outcome"] == "stopped"

@@ -386,6 +386,7 @@ def test_a_sweep_that_is_told_to_end_goes_on_from_there(here: Path, number: sign
                                      ("live", "a.mcap", "--web", "0"),
                                      ("record", "--interface", "virtual", "--channel", "endings", "-o", "b.mcap")],
                          ids=" ".join)
+@pytest.mark.slow
 def test_what_serves_or_listens_ends_on_a_signal(here: Path, command: tuple[str, ...], number: signal.Signals) -> None:
     made(here / "a.mcap")
     process = subprocess.Popen([*BOWDEN, *command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)

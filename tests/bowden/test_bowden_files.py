@@ -80,6 +80,7 @@ def test_two_trials_side_by_side(recorded: Path, bowden: Bowden) -> None:
     ("export", "trial.mcap", "-o", "out.csv"), ("import", "trial.mcap", "-o", "out.mcap"),
     ("recover", "trial.mcap", "-o", "out.mcap"),
 ], ids=lambda words: words[0])
+@pytest.mark.slow
 def test_a_terminal_sees_how_far_it_is_and_json_sees_nothing(recorded: Path, words: tuple[str, ...]) -> None:
     assert "%" in on_a_terminal(*words)
     assert on_a_terminal(*words, "--overwrite", "--json") == ""

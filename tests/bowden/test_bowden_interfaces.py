@@ -86,6 +86,7 @@ def in_a_thread(channel: str) -> Iterator[None]:
     hidden.close()
 
 
+@pytest.mark.slow
 def test_a_trial_runs_over_udp_multicast_with_its_options(patient: Path, bowden: Bowden) -> None:
     options = ("--option", f"port={PORT}", "--option", "hop_limit=0")
     with in_a_process(GROUP, *options):

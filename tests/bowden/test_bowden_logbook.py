@@ -66,6 +66,7 @@ def test_every_day_is_a_session_with_constants(bench: Path, bowden: Callable[...
     assert shown["told"][0].startswith("Cannot tell yet: 3 sessions")
 
 
+@pytest.mark.slow
 def test_a_simulated_trial_is_dated_by_its_own_day_and_the_order_of_entry_has_no_influence(
         bench: Path, bowden: Callable[..., Any], here: Path) -> None:
     told(bowden, "logbook", "init", "book", "--name", "left leg", "--references", "2")
@@ -165,6 +166,7 @@ def entering(name: str, count: int) -> subprocess.Popen[str]:
     return subprocess.Popen([sys.executable, "-c", ENTER, "book", name, str(count)], stdout=subprocess.PIPE, text=True)
 
 
+@pytest.mark.slow
 def test_two_processes_enter_at_once(here: Path, bowden: Callable[..., Any]) -> None:
     told(bowden, "logbook", "init", "book")
     numbers = [process.communicate()[0].split() for process in [entering("a", 40), entering("b", 40)]]
@@ -172,6 +174,7 @@ def test_two_processes_enter_at_once(here: Path, bowden: Callable[..., Any]) -> 
     assert told(bowden, "logbook", "list", "book")["trials"] == 80
 
 
+@pytest.mark.slow
 def test_a_killed_process_loses_nothing_acknowledged(here: Path, bowden: Callable[..., Any]) -> None:
     told(bowden, "logbook", "init", "book")
     for turn in range(3):
@@ -292,6 +295,7 @@ def test_a_drift_is_dated_and_has_the_evidence_of_its_effect(accuracy: Accuracy,
         assert found["alarms"][0]["since"] == "day 20"
 
 
+@pytest.mark.slow
 def test_an_alarm_without_recorded_trials_is_named_by_all_sessions(accuracy: Accuracy, here: Path,
                                                                    bowden: Callable[..., Any]) -> None:
     book = written(here / "book", accuracy, drawn(accuracy, 5, 25, DRIFTS["backlash 26 mrad"][1]))
@@ -314,6 +318,7 @@ KEPT = Cause("ambiguous", ("knee_backlash", "slack"), "geometry", "", 25, (1, 2)
     (KEPT, {}, ["knee_backlash", "slack"]), (KEPT._replace(session=20), {}, []),
     (KEPT._replace(references=(1, 21)), {}, []), (KEPT, {9: "cable"}, []),
 ], ids=["valid", "of a session before the change", "reference since the change", "maintenance in between"])
+@pytest.mark.slow
 def test_a_kept_diagnosis_holds_while_its_sessions_are_on_both_sides_of_the_change(
         cause: Cause, notes: dict[int, str], among: list[str], accuracy: Accuracy, here: Path,
         bowden: Callable[..., Any]) -> None:
@@ -325,6 +330,7 @@ def test_a_kept_diagnosis_holds_while_its_sessions_are_on_both_sides_of_the_chan
     assert ("Diagnosis of session day 24" in bowden("logbook", "show", folder).stdout) == bool(among)
 
 
+@pytest.mark.slow
 def test_a_drift_is_forecast_to_a_limit(accuracy: Accuracy, here: Path, bowden: Callable[..., Any]) -> None:
     book = written(here / "book", accuracy, drawn(accuracy, 4, 30, lambda k: {"cable": 0.02 * max(0, k - 10)}))
     now = shown(bowden, book)["constants"]["cable"]["value"]
@@ -332,6 +338,7 @@ def test_a_drift_is_forecast_to_a_limit(accuracy: Accuracy, here: Path, bowden: 
     assert ahead["low"] < 10.0 < ahead["high"]  # 0.02 a session, 0.2 to go
 
 
+@pytest.mark.slow
 def test_a_replaced_cable_is_no_alarm_if_it_is_entered(accuracy: Accuracy, here: Path, bowden: Callable[..., Any]
                                                        ) -> None:
     def course(k: int) -> dict[str, float]:

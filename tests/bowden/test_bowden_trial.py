@@ -119,6 +119,7 @@ def test_one_seed_one_file_in_any_process(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not GAIT.is_dir(), reason="../shared/data/gait is absent: real knee motion is no part of this")
+@pytest.mark.slow
 def test_a_real_knee_cycle_runs(tmp_path: Path) -> None:
     told = command("trial", "--knee", GAIT / "cycle_01.csv", "--cycles", 2, "--json", "-o", "knee.mcap", cwd=tmp_path)
     assert told.returncode == 0, told.stderr

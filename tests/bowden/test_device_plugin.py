@@ -47,6 +47,7 @@ def installed(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pa
     return tmp_path
 
 
+@pytest.mark.slow
 def test_an_encoder_from_a_wheel_is_measured_with(installed: Path, bowden: Command) -> None:
     status, out, err = bowden("check", "config", "bench.toml", "--json")
     assert not err

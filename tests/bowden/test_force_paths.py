@@ -105,6 +105,7 @@ def test_a_path_must_be_named(ran: Path, recorded: Trial, bowden: Command) -> No
 
 
 @ONE_SHAPE
+@pytest.mark.slow
 def test_a_lost_node_of_one_path_lets_both_paths_go(ran: Path, recorded: Trial, figures: dict[str, object]) -> None:
     """START of the second path loses its power while the first rope is taut: both end slack, every drive disabled."""
     bench = packaged(str(figures["shape"]))
@@ -164,6 +165,7 @@ def test_commissioning_names_a_path(ran: Path, recorded: Trial, bowden: Command)
 
 
 @ONE_SHAPE
+@pytest.mark.slow
 def test_every_path_is_identified_in_turn(ran: Path, bowden: Command) -> None:
     status, out, _ = bowden("identify", "sensors", "--config", ran / "bench.toml", "-o", ran / "own.toml", "--json")
     assert status == 0

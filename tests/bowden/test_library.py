@@ -228,6 +228,7 @@ def test_a_told_controller_is_verified_against_one_that_is_not() -> None:
     assert found.gain_percent > 20.0
 
 
+@pytest.mark.slow
 def test_a_simulated_bench_is_examined_and_a_table_is_swept(tmp_path: Path) -> None:
     found = bowden.doctor(seconds=0.1)
     nodes = [finding for finding in found if "(node " in finding.what]
@@ -267,6 +268,7 @@ def test_what_hides_a_package_is_named_in_one_sentence(name: str, tmp_path: Path
         assert "rename that file" in said
 
 
+@pytest.mark.slow
 def test_a_healthy_fit_is_made_once_and_says_what_a_single_diagnosis_says(monkeypatch: pytest.MonkeyPatch) -> None:
     from diagnosis.evidence import evidence_finder
     from diagnosis.finder import diagnose

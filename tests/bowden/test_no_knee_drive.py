@@ -76,6 +76,7 @@ def test_the_plant_gives_the_same_trial_again(ran: Path, bowden: Command) -> Non
     assert (status, json.loads(out)["same"]) == (0, True)
 
 
+@pytest.mark.slow
 def test_report_and_diagnosis_have_no_knee_drive(ran: Path, bowden: Command) -> None:
     assert bowden("report", ran / "trial.mcap", "-o", ran / "report.html")[0] == 0
     status, out, _ = bowden("diagnose", ran / "trial.mcap", "--json")

@@ -82,6 +82,7 @@ def test_a_controller_that_fails_leaves_its_name_free(own: Path, bowden: Callabl
     assert bowden(*words)[0] == 0
 
 
+@pytest.mark.slow
 def test_a_sweep_varies_them_and_a_trial_that_raises_ends_its_row(own: Path) -> None:
     rows = planned("controller=own.py:Own,none", "controller.kp=95,100", "controller.fault=0,1")
     assert [row["gait.tuning"] for row in rows] == [

@@ -145,6 +145,7 @@ def test_a_bus_yml_of_aliases_is_refused_in_one_sentence(tmp_path: Path, text: s
 
 
 @pytest.mark.parametrize("slow", [False, True])
+@pytest.mark.slow
 def test_an_mf4_file_that_stands_for_gigabytes_is_refused(tmp_path: Path, slow: bool) -> None:
     """300 channels of zeros, or a hundred signals of two values beside a clock of three million."""
     asammdf = pytest.importorskip("asammdf")

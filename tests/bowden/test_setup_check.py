@@ -62,6 +62,7 @@ def test_a_trial_with_a_limb_runs_on_a_checked_bench_alone(bowden: Callable[...,
     assert "[[setup_check]]" in opened(bench / "trial.mcap").attachments["setup_check.toml"].decode()
 
 
+@pytest.mark.slow
 def test_the_library_refuses_a_limb_on_a_bench_that_was_not_checked(bowden: Callable[..., Any], bench: Path) -> None:
     """Before, `bowden.run` ran it: only the command looked."""
     walk = Experiment(configuration=bench / "bench.toml", model=bench / "calibration.toml", cycles=1, settle=0)
@@ -74,6 +75,7 @@ def test_the_library_refuses_a_limb_on_a_bench_that_was_not_checked(bowden: Call
 
 
 @pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.slow
 def test_a_fault_from_power_on_is_refused(bowden: Callable[..., Any], bench: Path, name: str) -> None:
     model, of = FAULTS[name]
     (bench / "fault.toml").write_text(model)

@@ -69,6 +69,7 @@ def fitted(walked: Table, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_model_is_read_as_it_was_written_and_as_a_calibration(fitted: Path, tmp_path: Path) -> None:
     path, model = tmp_path / "model.toml", bench_model.read(fitted / "model.toml")
     path.write_text(model.text(), encoding="utf-8")

@@ -41,6 +41,7 @@ def test_a_wrong_column_is_refused_by_name(wrong: Callable[[Table], Table], colu
     assert column in found.warnings[0]
 
 
+@pytest.mark.slow
 def test_healthy_trials_that_do_not_fit_teach_nothing() -> None:
     rng = np.random.default_rng(0)
     noisy = changed("tension_start_n", lambda v: v + 30.0 * np.sin(np.cumsum(0.05 * rng.normal(size=v.size))))

@@ -37,6 +37,7 @@ def bench() -> tuple[EvidenceFinder, ReferenceFit, Table]:
     return finder, finder.reference([made.trial]), made.trial
 
 
+@pytest.mark.slow
 def test_the_motion_is_recognised_with_a_lag_and_no_other_motion_is(
     bench: tuple[EvidenceFinder, ReferenceFit, Table]
 ) -> None:

@@ -76,6 +76,7 @@ def test_every_modulation_is_finite_on_a_course() -> None:
         assert all(part.shape == time.shape and np.isfinite(part).all() for part in parts)
 
 
+@pytest.mark.slow
 def test_the_plant_follows_terms_of_its_parameters_and_sensors() -> None:
     time = np.arange(0.0, 2.0, 1e-3)
     moved = imposed.motion(time, 0.012 * (1.0 - np.cos(np.pi * time)), np.full(time.size, -0.5))

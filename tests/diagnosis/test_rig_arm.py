@@ -50,6 +50,7 @@ def test_the_shoulder_carries_both_links() -> None:
     assert told["unbalance"] == pytest.approx((2.0 * 0.5 + FOREARM_KG) * 9.81 * UPPER_M, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_mass_at_the_tip_is_told_from_either_joint() -> None:
     for joint, own in (("elbow", 9.81 * LOWER_M), ("shoulder", 9.81 * UPPER_M)):
         found = known(joint).diagnose([arm(4, joint, TIP_KG)])
@@ -94,6 +95,7 @@ def test_a_table_of_several_joints_needs_the_name_of_one(tmp_path: Path) -> None
     assert "shoulder.servo_position_m" in read(file, "elbow")
 
 
+@pytest.mark.slow
 def test_the_commands_take_the_joint_as_a_path(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = []
     for seed in (1, 2, 3):

@@ -57,6 +57,7 @@ def on_a_cam(seed: int, rubs: float = 6.0) -> Table:
                                  "tension_end_n": end + noise[1]})
 
 
+@pytest.mark.slow
 def test_a_ratio_may_change_with_the_position() -> None:
     finder = known([on_a_cam(1), on_a_cam(2)])
     nothing, rubbed = finder.diagnose([on_a_cam(3)]), finder.diagnose([on_a_cam(3, 9.0)])
@@ -134,6 +135,7 @@ def held(seed: int, mass_kg: float = 0.5, counts: float = 1.5e-3) -> Table:
         "servo_torque_nm": np.concatenate([torque[:turn], wanders, torque[turn:]])})
 
 
+@pytest.mark.slow
 def test_where_a_drive_stands_its_force_does_not_count() -> None:
     reference = [held(1), held(2)]
     model, _, constants = fitted(reference)

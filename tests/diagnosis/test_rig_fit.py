@@ -37,6 +37,7 @@ def fitted(name: str) -> bench_fit.FittedBench:
 
 
 @pytest.mark.parametrize("name", MADE)
+@pytest.mark.slow
 def test_the_intervals_hold_what_the_rig_was_made_with(name: str) -> None:
     found, true = fitted(name), MADE[name][1]
     assert found.rig is not None

@@ -64,12 +64,14 @@ def test_a_name_is_what_is_left_of_a_sentence_without_its_figures() -> None:
     assert name_of("emergency message: knee: 0x7305, incremental sensor fault") == names.emergency("knee", 0x7305)
 
 
+@pytest.mark.slow
 def test_defects_once_found_are_said_named_and_bounded(tmp_path: Path) -> None:
     told = matrix(tmp_path, "--rows", QUICK, "--moments", "peak", "start")
     assert len(told) == QUICK.count("|") + 1
     assert [(row["name"], row["moment"], row["faults"]) for row in told if row["faults"]] == []
 
 
+@pytest.mark.slow
 def test_slow_faults_are_said_before_they_move_end_by_ten_newtons(tmp_path: Path) -> None:
     """A gain that fades, a sheath that slips and an encoder that creeps, in the shortest of the slow gaits."""
     rows = "START's gain|slips by 2 mm|creeps by 0.31"
@@ -97,6 +99,7 @@ def test_a_knee_whose_feedback_fails_is_let_go_and_the_leg_keeps_its_bounds(tmp_
 
 
 @pytest.mark.parametrize("fault", ["Ctrl-C", "END cut off", "servo stage reversed"])
+@pytest.mark.slow
 def test_a_leg_in_swing_is_braked_before_it_is_let_go(tmp_path: Path, fault: str) -> None:
     """It coasted on to 22 degrees of extension."""
     told = matrix(tmp_path, "--gait", "paper", "1.1", "--rows", f"^{fault}$", "--moments", "85 %", "90 %")

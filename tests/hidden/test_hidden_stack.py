@@ -73,7 +73,8 @@ def hide(hidden: Hidden, path: Path, cycles: int) -> Path:
 
 
 @pytest.mark.parametrize(("hidden", "verdict"), [
-    pytest.param(hidden, verdict, id=verdict, marks=pytest.mark.exhaustive if verdict == "unexplained" else ())
+    pytest.param(hidden, verdict, id=verdict, marks={
+        "unexplained": pytest.mark.exhaustive, "found": ()}.get(verdict, pytest.mark.slow))
     for hidden, verdict in SHORT.items()])
 def test_three_cycles_give_the_verdict_and_the_name(hidden: Hidden, verdict: str, good: Path, tmp_path: Path) -> None:
     found = diagnose([hide(hidden, tmp_path / "hidden.mcap", SHORT_CYCLES)], healthy=[good])
@@ -123,6 +124,7 @@ def test_effects_behind_the_nodes_are_in_the_class(told: dict[Hidden, Findings])
     # 0.7 ms after its place is past the deadline and not past the next SYNC: missed by the step, not by the record
     pytest.param("late_s = 0.0007\nlate_share = 0.03", 0.03, False, marks=pytest.mark.exhaustive),
 ])
+@pytest.mark.slow
 def test_a_fault_of_the_wire_shows_in_the_trial(
     wire: str, share: float, aged: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

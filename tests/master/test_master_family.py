@@ -44,6 +44,7 @@ STIFF = 4
 """A serial whose rope and fabric stretch a third of what the packaged calibration says; one that was developed with."""
 
 
+@pytest.mark.slow
 def test_a_bench_that_is_refused_the_packaged_calibration_can_be_identified(composer: Composer) -> None:
     """What the refusal says to do works: an identification measures what homing found to be otherwise."""
     bench = {"serial": 0, "plant": f"tests.plants:bench_{STIFF}_day_0"}

@@ -145,6 +145,7 @@ def moved(node: Any, target: int) -> int:
 
 
 @pytest.mark.parametrize("node_id", [SERVO, KNEE])
+@pytest.mark.slow
 def test_a_stock_master_homes_moves_faults_and_resets_a_drive(network: canopen.Network, node_id: int) -> None:
     node = drive_402(network, node_id)
     for method in (37, 35):

@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "own_node"
 
 
+@pytest.mark.slow
 def test_a_copy_of_the_folder_passes(tmp_path: Path) -> None:
     shutil.copytree(FOLDER, tmp_path / "mine")
     done = subprocess.run([sys.executable, "-m", "pytest", "-q", "-p", "bowden.testing.plugin", "-p",
