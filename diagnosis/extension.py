@@ -1,7 +1,8 @@
 """extended.toml: result of a diagnosis as a bench model that the simulator and the controller load.
 
 `[parameters.NAME]`: constants of the bench from its calibration or its reference trials.  `[effects.NAME]`: effects
-found.  `[found]`: verdict, trials and gains of the diagnosis.  The format is that of `physics.bench_model`.
+found.  `[[terms]]`: terms beyond them.  `[found]`: verdict, trials and gains of the diagnosis.  The format is that of
+`physics.bench_model`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any, Final
 from diagnosis.findings import Findings
 from estimation.data.table import Table
 from parameters import InputError
+from physics import terms
 from physics.bench_model import RIG
 from physics.calibration import rows
 from physics.effects.catalogue import CATALOGUE, apply
@@ -43,6 +45,8 @@ def text(found: Findings, trials: Sequence[Table]) -> str:
         lines += [f"gain_percent = {_inline((c['effect'], round(c['gain_percent'], 2)) for c in found.causes)}"]
     for cause in found.causes:
         lines += _effect(cause, seconds)
+    if found.laws is not None:
+        lines += terms.rows(found.laws.terms)
     return "\n".join(lines) + "\n"
 
 

@@ -18,7 +18,8 @@ from diagnosis import wire_faults
 from diagnosis.evidence.evidence_finder import NO_REFERENCE, EvidenceFinder
 from diagnosis.evidence.held_out import cycles_of
 from diagnosis.findings import Findings
-from diagnosis.laws.law_findings import Laws, discover
+from diagnosis.laws.law_findings import discover
+from diagnosis.laws.law_result import Laws
 from diagnosis.wire_faults import WireFindings
 from estimation import simulation_fit
 from estimation.bench_fit import oriented, turned
@@ -85,19 +86,20 @@ class Finder:
             self._bench = EvidenceFinder(simulable, self.session_sd)
         return self
 
-    def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = ()) -> Findings:
+    def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = (), *, terms: bool = False) -> Findings:
         """Return which effects explain the error of the simulation on `trials`; nothing is fitted on `holdout`.
 
+        `terms`: where effects do not explain the trials, or not all of it, seek terms that do, too (`Findings.laws`).
         Contradictory data give the verdict `refused`.  Raises `InputError` for unusable files.
         """
         # with matrices of some hundred columns, waiting threads cost more time than they save
         with threadpool_limits(1, user_api="blas"):
-            return replace(self._diagnosed(trials, holdout), lowpass_hz=self.lowpass)
+            return replace(self._diagnosed(trials, holdout, terms), lowpass_hz=self.lowpass)
 
     def discover(self, trials: Sequence[Given]) -> tuple[Laws, BenchModel | None]:
         """Return the terms that extend the model of the reference condition in `trials`, and that model.
 
-        `trials`: of one session.  The model is None for a rig of another kind.
+        `trials`: of one session.  A rig of another kind has no model (None).
 
         Raises `InputError` for unusable files, and without reference trials: a law departs from them.
         """
@@ -115,13 +117,12 @@ class Finder:
         if refused:
             raise InputError(refused)
         with threadpool_limits(1, user_api="blas"):
-            reference, observed = core.observed(tables)
-            return discover(reference, observed, tables), self._model(core, tables)
+            return discover(*core.observed(tables)), self._model(core, tables)
 
     def _known(self, trials: Sequence[Table]) -> Mapping[str, Any] | None:
         return self.calibration if self.calibration is not None else trials[0].calibration
 
-    def _diagnosed(self, trials: Sequence[Given], holdout: Sequence[Given]) -> Findings:
+    def _diagnosed(self, trials: Sequence[Given], holdout: Sequence[Given], terms: bool) -> Findings:
         if not trials:
             raise InputError("diagnose: no trial given; name at least one.")
         held = [[_read(t) for t in group] for group in (trials, holdout)]
@@ -151,6 +152,8 @@ class Finder:
         again = undecided is not None and found.experiment in {t.experiment for t in groups[0]}
         unstable = core.reference([*groups[0], *groups[1]]).warning()
         found = replace(found, warnings=[*([unstable] if unstable else []), *found.warnings])
+        if terms and self._healthy and (found.unexplained or found.verdict == "unexplained"):
+            found = replace(found, laws=discover(*core.observed(groups[0]), found.variants))
         return replace(found, bench=self._model(core, groups[0]), undecided=undecided,
                        experiment=None if again else found.experiment)
 

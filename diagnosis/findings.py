@@ -6,34 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from diagnosis.compared_signals import Compared
+from diagnosis.compared_signals import Compared, Figures
+from diagnosis.laws.law_result import Laws
 from physics.bench_model import BenchModel
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Figures of one output, in its unit: RMSE on held-out cycles and on held-out trials; gain, %, with 95 % interval.
-
-    `before`: the reference condition's model.  `session`: that with the session's constants adapted.  `after`: with the
-    named effects.  The gain is that of `after` over `session`.  `floor`: reference RMSE.
-    """
-
-    unit: str
-    floor: float | None = None
-    rmse_before: float | None = None
-    rmse_session: float | None = None
-    rmse_after: float | None = None
-    holdout_before: float | None = None
-    holdout_session: float | None = None
-    holdout_after: float | None = None
-    gain_percent: float | None = None
-    low: float | None = None
-    high: float | None = None
-
-    @property
-    def rmse_last(self) -> float | None:
-        """RMSE on held-out cycles with the named effects; without one, with the session adapted."""
-        return self.rmse_session if self.rmse_after is None else self.rmse_after
+from physics.effects.hypotheses import Variant
 
 
 @dataclass(frozen=True)
@@ -48,6 +24,7 @@ class Findings:
     held-out trial.  `undecided`: one sentence on an experiment among the trials that did not reduce the ambiguity set.
     `unexplained`: by output, the lack of fit of the best model: mean squared residual over its variance, RMS error and
     reference RMSE; {} if there is none.  It stands with or without causes.
+    `variants`: of the causes, as fitted.  `laws`: terms beyond the causes, None if none were sought.
     """
 
     verdict: str
@@ -69,6 +46,8 @@ class Findings:
     held_traces: Mapping[str, Sequence[Compared]] = field(default_factory=dict, repr=False)
     undecided: str | None = None
     unexplained: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    variants: tuple[Variant, ...] = field(default=(), repr=False)
+    laws: Laws | None = None
 
     @property
     def of_rig(self) -> bool:
@@ -93,11 +72,10 @@ class Findings:
             "relations": {name: asdict(figures) for name, figures in self.relations.items()},
             "warnings": self.warnings, "detection_limit": self.detection_limit, "seconds": self.seconds,
             "lowpass_hz": self.lowpass_hz, "simulation": self.simulation,
-            "errors": {name: {"reference": f.rmse_before, "session": f.rmse_session, "named": f.rmse_after,
-                              "gain_percent": f.gain_percent,
-                              "gain_interval": None if f.low is None else [f.low, f.high]}
-                       for name, f in self.relations.items()},
+            "errors": {name: f.as_errors() for name, f in self.relations.items()},
             "unexplained": {name: dict(row) for name, row in self.unexplained.items()},
+            **({} if self.laws is None else {"terms": [term.as_json() for term in self.laws.terms],
+                                             "law": self.laws.as_json()}),
             **({"undecided": self.undecided} if self.undecided is not None else {}),
             **({"candidates": self.candidates} if self.candidates else {}),
             **({"part": self.part, "evidence": self.evidence} if self.evidence is not None else {})}

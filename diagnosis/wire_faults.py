@@ -16,8 +16,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
+from diagnosis.compared_signals import Figures
 from diagnosis.evidence.decision import NAMED_NATS
-from diagnosis.findings import Figures
 from estimation.data.table import AGE_SUFFIX, Table
 from estimation.posterior import SURROGATE
 from physics import sampling_laws

@@ -45,8 +45,11 @@ class Diagnosis:
         self._measured = True
         return self
 
-    def diagnose(self, trials: Given | Iterable[Given], holdout: Given | Iterable[Given] = ()) -> DiagnosisResult:
+    def diagnose(self, trials: Given | Iterable[Given], holdout: Given | Iterable[Given] = (), *, terms: bool = False
+                 ) -> DiagnosisResult:
         """Return the causes of faults in `trials`; nothing is fitted on `holdout`.
+
+        `terms`: seek a law, as `bowden.discover` does, where effects do not explain the trials, or not all of it.
 
         Without a model and reference trials, no cause is named in trials of the packaged calibration, since its values
         are assumed and not measured (`on_its_footing`).  Raises `InputError` for unusable files; inconsistent
@@ -55,7 +58,7 @@ class Diagnosis:
         given = several(trials)
         asked, unseen = ([table_of(trial, self._path) for trial in group] for group in (given, several(holdout)))
         paths = [Path(trial.path if isinstance(trial, Trial) else trial) for trial in given]
-        found = on_its_footing(self._finder.diagnose(asked, unseen), paths, measured=self._measured)
+        found = on_its_footing(self._finder.diagnose(asked, unseen, terms=terms), paths, measured=self._measured)
         return DiagnosisResult(found, asked, unseen, self.model)
 
 
@@ -65,7 +68,7 @@ class DiagnosisResult:
     `verdict`: none, found, ambiguous, unexplained or refused. `causes`: one dict an effect, with its site, its
     parameters (value, low, high, unit) and its gain, %. `rivals`: effects that these data cannot separate, the chosen
     ones first. `experiment`: the experiment that would separate them. `relations`: figures by relation. `warnings`:
-    sentences for the reader.
+    sentences for the reader. `terms`: law beyond the causes, if one was asked for.
     """
 
     def __init__(
@@ -74,6 +77,7 @@ class DiagnosisResult:
         self.found = found
         self.verdict, self.causes, self.rivals = found.verdict, found.causes, found.rivals
         self.experiment, self.relations, self.warnings = found.experiment, found.relations, found.warnings
+        self.terms = [] if found.laws is None else list(found.laws.terms)
         self._trials, self._holdout, self._model = trials, holdout, model
 
     def __repr__(self) -> str:

@@ -12,7 +12,7 @@ from bowden.models.diagnosing import Given, several, table_of
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from diagnosis.laws.law_findings import Laws
+    from diagnosis.laws.law_result import Laws
 
 
 def discover(trials: Given | Iterable[Given], healthy: Given | Iterable[Given], *, lowpass_hz: float | None = None,
@@ -56,5 +56,5 @@ class Discovered:
             raise InputError(f"{', '.join(self.trials)}: a rig of another kind, which nothing simulates; read the "
                              "terms with --json.")
         found = {"verdict": "law", "on": [Path(name).name for name in self.trials],
-                 "gain_percent": {name: round(e.gain_percent, 2) for name, e in self.errors.items()}}
+                 "gain_percent": self.laws.gains}
         return dataclasses.replace(self._bench, terms=tuple(self.terms), found=found)

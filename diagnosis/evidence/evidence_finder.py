@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from diagnosis.compared_signals import Figures
 from diagnosis.evidence import decision
 from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, Decision
 from diagnosis.evidence.detection_limits import detection_limits
@@ -15,7 +16,7 @@ from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
 from diagnosis.evidence.hypothesis_search import Searched, search
 from diagnosis.evidence.identical_motion import paired
 from diagnosis.evidence.shape_family import feature_sd
-from diagnosis.findings import Figures, Findings
+from diagnosis.findings import Findings
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel, predicted
 from estimation.likelihood_data import Recording
@@ -155,12 +156,17 @@ class EvidenceFinder:
                         "gain_interval": None if gain is None else [gain.low, gain.high],
                         "signals": figures.judged, "on": "cycles that no fit has seen"},
             part=decided.part, evidence=evidence, unexplained=_unexplained(decided, relations),
+            variants=tuple(decision.chosen_variants(found, decided.chosen)),
             traces=figures.traces(trials), held_traces=kept.traces(holdout) if kept is not None else {})
 
-    def observed(self, trials: Sequence[Table]) -> tuple[ReferenceFit, Observed]:
-        """Return the reference condition and the data of trials of one session under it."""
+    def observed(self, trials: Sequence[Table]) -> tuple[ReferenceFit, Observed, Sequence[Table]]:
+        """Return the reference condition, the data of trials of one session under it, and the trials.
+
+        If all reference trials are gaits and some of the trials are, the experiments are left out.
+        """
+        trials = self._by_motion(trials)[0]
         reference, outputs = self.reference(trials), self._outputs(trials)
-        return reference, reference.observe(*(self._read(t, outputs) for t in trials))
+        return reference, reference.observe(*(self._read(t, outputs) for t in trials)), trials
 
     @property
     def kind(self) -> str:

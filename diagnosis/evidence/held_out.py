@@ -18,8 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.compared_signals import Compared
-from diagnosis.findings import Figures
+from diagnosis.compared_signals import Compared, Figures
 from estimation.data.table import Table
 from estimation.likelihood_data import Recording
 from estimation.posterior import Gaussian, Observed, PosteriorMode, begun, mode

@@ -9,5 +9,6 @@ a part of the bench.  Modules, lowest first.
 
     library      candidate terms of a trial: carriers × modulations
     law_search   selection by evidence, refinement of the nonlinear parameters, held-out errors
-    law_findings result: terms, three errors, runners-up
+    law_result   terms, three errors, runners-up
+    law_findings confirmation on held-out cycles
 """

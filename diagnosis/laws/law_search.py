@@ -23,8 +23,9 @@ from scipy.optimize import minimize
 
 from diagnosis.evidence.decision import NAMED_NATS
 from diagnosis.laws.library import VIBRATING, Candidates, Modulated, candidates, carriers_of, in_units, modulated
-from estimation.posterior import Gaussian, Observed, PosteriorMode, mode
+from estimation.posterior import Gaussian, Observed, PosteriorMode, begun, mode, screened
 from estimation.reference_fit import ReferenceFit
+from physics.effects.hypotheses import Variant
 from physics.laws import Array
 from physics.terms import MODULATIONS, Carrier, Term
 
@@ -61,7 +62,8 @@ class Candidate(NamedTuple):
 class LawSearch:
     """Search of terms in the trials of one session, from the fit `base` of constants and discrepancy.
 
-    `blocks`: cycle number of each bin, by trial.  `phases`: gait phase of each bin, by trial, or None.
+    `blocks`: cycle number of each bin, by trial.  `phases`: gait phase of each bin, by trial, or None.  `variants`:
+    effects of the catalogue that stand beside the terms.
     """
 
     observed: Observed
@@ -69,6 +71,7 @@ class LawSearch:
     reference: ReferenceFit
     blocks: Sequence[NDArray[np.intp]]
     phases: Sequence[Array] | None
+    variants: Sequence[Variant] = ()
     base: PosteriorMode = field(init=False)
     carriers: dict[str, Carrier] = field(init=False)
     modulated: list[Modulated] = field(init=False)
@@ -79,6 +82,10 @@ class LawSearch:
         starts = [self.prior.mean, *self.reference.starts()]
         self.base = max((mode(self.observed, self.prior, start=at) for at in starts),
                         key=lambda m: m.log_evidence)
+        for count, variant in enumerate(self.variants):
+            sizes = screened(self.base, self.observed, variant)[1]
+            start = begun(self.base, variant, sizes, self.variants[:count])
+            self.base = mode(self.observed, self.prior, self.variants[:count + 1], start)
         model = self.observed.model
         phases: Sequence[Array | None] = self.phases or [None] * len(self.observed.trials)
         self.modulated = [modulated(model, self.base.q, trial, phase)
@@ -134,7 +141,7 @@ class LawSearch:
             prior = _extended(self.prior, sds)
             start = np.concatenate([at.x[:plain], np.zeros(sds.size)])
             start[plain:][:at.x.size - plain] = at.x[plain:][:sds.size]
-            at = mode(whole, prior, start=start)
+            at = mode(whole, prior, self.variants, start)
         return at
 
     # -- screen and refinement -----------------------------------------------------------------------------------------
@@ -220,16 +227,17 @@ class LawSearch:
 
     def held_out(self) -> Array:
         """Return the residual of the data on held-out cycles with the session adapted and no term, shape (data,)."""
-        return self._by_fold(lambda seen: mode(seen, self.prior, start=self.base.x))
+        return self.by_fold(lambda seen: mode(seen, self.prior, self.variants, self.base.x))
 
     def predicted(self, chosen: Sequence[Candidate], at: PosteriorMode) -> Array:
         """Return the residual of the data on held-out cycles with terms, shape (data,).
 
         `at`: the mode with them.  The nonlinear parameters are refined for each fold without its data.
         """
-        return self._by_fold(lambda seen: self.fitted(self._refined_for(chosen, at, seen), seen, at, passes=1))
+        return self.by_fold(lambda seen: self.fitted(self._refined_for(chosen, at, seen), seen, at, passes=1))
 
-    def _by_fold(self, fit: Callable[[Observed], PosteriorMode]) -> Array:
+    def by_fold(self, fit: Callable[[Observed], PosteriorMode]) -> Array:
+        """Return the residual of the data, shape (data,), where each fold is predicted by a `fit` to the others."""
         fold = np.concatenate([np.tile(b % FOLDS, len(self.observed.outputs)) for b in self.blocks])
         residual = np.zeros(self.observed.data.size)
         for number in np.unique(fold):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from diagnosis.findings import Findings
-from diagnosis.report import figure_tables, plots, residual_picture, tracking
+from diagnosis.report import figure_tables, law_section, plots, residual_picture, tracking
 from diagnosis.report.headline import headline, interval
 from diagnosis.report.plots import AFTER, BEFORE
 from diagnosis.report.residuals import where
@@ -54,6 +54,8 @@ def build(
     sides, named, turning = found.traces, bool(found.causes), trials[0].turning
     _first(page, found, trials)
     _summary(page, found)
+    if found.laws is not None:
+        law_section.section(page, found.laws)
     if not found.candidates:
         residual_picture.section(page, found, turning)
     plots.measured(page, sides, "Measured against simulated", "time_s", named=named)

@@ -8,7 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from diagnosis.findings import Figures, Findings
+from diagnosis.compared_signals import Figures
+from diagnosis.findings import Findings
+from diagnosis.laws.law_result import Laws
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
 from physics.effects.sites import SITES
@@ -86,12 +88,29 @@ def _by_evidence(found: Findings) -> Iterator[str]:
         yield none_sentence(errors, found.of_rig)
         if found.of_rig:
             yield from _limits(found)
-    if found.unexplained or found.verdict == "unexplained":
+    if found.laws is not None:
+        yield from law_sentences(found.laws)
+    elif found.unexplained or found.verdict == "unexplained":
         yield "bowden discover, with the same trials, seeks a law for it."
     yield from _set(found)
     listed = _shifts((found.evidence or {}).get("shifts", {}))
     if listed:
         yield f"Constants that moved most: {'; '.join(listed)}."
+
+
+def law_sentences(laws: Laws) -> Iterator[str]:
+    """Yield the equation of each term, the gain, what is nearly as likely, and the motion that would confirm it."""
+    if not laws.terms:
+        yield f"No law: {laws.rejected or 'no term has the evidence'}."
+        return
+    for term, nats in zip(laws.terms, laws.nats, strict=True):
+        yield f"Law: {term.equation} ({term.part}; {nats:.0f} nats)."
+    gained = [f"{NAMES.get(name, name)} {f.rmse_session:.3g} → {f.rmse_after:.3g} {f.unit} ({f.gain_percent:.0f} %, "
+              f"95 %: {f.low:.0f} … {f.high:.0f})" for name, f in laws.errors.items()]
+    yield f"Error on held-out cycles, session adapted → with the law: {', '.join(gained)}."
+    if laws.nearly:
+        yield f"Nearly as likely: {', '.join(f'{name} ({nats:.0f} nats)' for name, nats in laws.nearly[:3])}."
+    yield f"To confirm: {laws.experiment}."
 
 
 def _error(found: Findings) -> Iterator[str]:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.compared_signals import Compared
-from diagnosis.findings import Figures, Findings
+from diagnosis.compared_signals import Compared, Figures
+from diagnosis.findings import Findings
 from diagnosis.report import figure_export, figure_tables, residual_picture, residuals
 from diagnosis.report.diagnosis_page import build, write
 from diagnosis.report.headline import (

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 
 from diagnosis.finder import Finder
+from diagnosis.findings import Findings
+from diagnosis.laws.law_result import Laws
 from estimation.data.table import Table
 from parameters import InputError
 from physics.plant import PlantParameters, imposed
@@ -139,6 +141,26 @@ def test_a_healthy_trial_has_no_law(recorded: tuple[Finder, Table]) -> None:
     assert not finder.discover([trial])[0].terms
 
 
+def test_an_answer_has_keys_of_terms_only_if_terms_were_sought() -> None:
+    plain = Findings("unexplained")
+    assert not {"terms", "law"} & plain.as_json().keys()
+    sought = dataclasses.replace(plain, laws=Laws(TERMS, [1.0] * 4, {}, [], 10)).as_json()
+    assert [one["carrier"] for one in sought.pop("terms")] == [one.carrier for one in TERMS]
+    assert sought.pop("law")["library"] == 10
+    assert sought == plain.as_json()
+
+
+@pytest.mark.exhaustive
+def test_a_diagnosis_seeks_terms_where_effects_do_not_explain_the_trial(recorded: tuple[Finder, Table]) -> None:
+    finder, trial = recorded
+    for given in (trial, changed(trial, vibrating)):
+        plain, sought = (finder.diagnose([given], terms=terms).as_json() for terms in (False, True))
+        terms = [term["modulation"] for term in sought.pop("terms", [])]
+        sought.pop("law", None)
+        assert sought == plain
+        assert terms == (["time_sine"] if plain["unexplained"] else [])
+
+
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(("change", "carriers", "modulation", "parameter", "value"), [
     (stepped, {"end_gain"}, "step", "at_s", None), (vibrating, {"end_offset"}, "time_sine", "hz", 11.3),
@@ -155,6 +177,6 @@ def test_a_change_outside_the_catalogue_is_a_law_with_its_place(
     expected = 0.6 * trial["time_s"][-1] - trial["time_s"][0] if parameter == "at_s" else value
     if expected is not None:
         assert abs(first.parameters[parameter] - expected) < 0.03 * max(expected, 1.0), first.equation
-    assert errors.named < errors.session / 2.0
+    assert errors.rmse_after < errors.rmse_session / 2.0
     assert bench is not None
     json.dumps(laws.as_json(), allow_nan=False)

@@ -127,7 +127,7 @@ def own_gain(healthy: Sequence[Table], made: Drawn) -> float:
         finder = EvidenceFinder(healthy)
         for columns in (made.trial, made.without):
             given = table("trial", columns)
-            fit, observed = finder.observed([given])
+            fit, observed, _ = finder.observed([given])
             pair = paired(fit, [finder.model.record(t) for t in healthy], observed)
             prior = fit.prior_of(observed)
             if pair is not None:

@@ -43,6 +43,8 @@ Planned = Annotated[str | None, typer.Option(
     "--plan", metavar="EXPERIMENT", autocompletion=options.experiments,
     help="Without a trial: the smallest of each effect that gait, or an experiment of bowden trial --experiment, would "
     "show.")]
+Terms = Annotated[bool, typer.Option(
+    "--terms", help="Where effects do not explain the trial, or not all of it, seek a law, too, as bowden discover.")]
 Noise = Annotated[float | None, typer.Option(metavar="N", help="With --plan: noise of both tension sensors, 1σ.")]
 
 READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
@@ -64,6 +66,7 @@ def diagnose(
     output: Extended = None,
     report: Report = None,
     figures: Figures = None,
+    terms: Terms = False,
     tracked: Tracked = None,
     each: Each = False,
     workers: Workers = None,
@@ -89,8 +92,8 @@ def diagnose(
 
     asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
     given = {"--logbook": logbook, "TRIAL": trials, "-o": output, "--report": report, "--figures": figures,
-             "--lowpass": lowpass, "--holdout": holdout, "--tracked": tracked, "--each": each, "--workers": workers,
-             "--scheduler": scheduler, "--path": path}
+             "--terms": terms, "--lowpass": lowpass, "--holdout": holdout, "--tracked": tracked, "--each": each,
+             "--workers": workers, "--scheduler": scheduler, "--path": path}
     if plan is not None:
         _leave_out(given, given, "--plan is before any trial")
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [], json)
@@ -115,7 +118,7 @@ def diagnose(
     with (force_paths.single_paths(chosen, path) as asked_of, force_paths.single_paths(healthy or [], path) as good,
           force_paths.single_paths(holdout or [], path) as unseen, _steps(shown=not json) as step):
         found = _diagnosed(asked_of, path, calibration, good, unseen, lowpass, output, report, tracked, step,
-                           figures, deviations, overwrite=overwrite)
+                           figures, deviations, overwrite=overwrite, terms=terms)
     result = found.as_json() | ({} if path is None else {"path": path}) | {"seconds": time.perf_counter() - began}
     if logbook is not None and found.verdict != "refused":
         from bowden.models import logbook_entries
@@ -232,6 +235,7 @@ def _diagnosed(
     trials: list[Path], path: str | None, calibration: Path | None, healthy: list[Path], holdout: list[Path],
     lowpass: float | None, output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None,
     step: Callable[[str, float], None], figures: Path | None, deviations: dict[str, float] | None, *, overwrite: bool,
+    terms: bool,
 ) -> Findings:
     """Diagnose, and write the requested files; a refused diagnosis writes nothing."""
     from bowden.models import diagnosing
@@ -247,7 +251,7 @@ def _diagnosed(
     step("fitting the healthy trials" if healthy else "preparing", READING)
     finder = Finder(calibration, lowpass, deviations).examine(groups[1])
     step("fitting the effects, cycle by cycle", SEARCHING)
-    found = finder.diagnose(groups[0], groups[2])
+    found = finder.diagnose(groups[0], groups[2], terms=terms)
     found = diagnosing.on_its_footing(found, trials, measured=bool(calibration or healthy))
     step("writing", WRITING)
     if found.verdict == "refused":

@@ -72,18 +72,13 @@ def _write(found: Discovered, output: Path | None, picture: Path | None) -> list
 
 
 def _tell(found: Discovered, written: list[Path]) -> None:
-    laws = found.laws
-    if not laws.terms:
-        print("No law: " + (laws.rejected or "no term has the evidence") + ".")
-    for term, nats in zip(laws.terms, laws.nats, strict=True):
-        print(textwrap.fill(f"{term.equation} ({term.part}; {nats:.0f} nats).", 80))
+    from diagnosis.report.headline import law_sentences
+
+    for sentence in law_sentences(found.laws):
+        print(textwrap.fill(sentence, 80))
     terminal.table("RMS error on cycles that no fit has seen", (
-        "signal", "unit", "reference", "session", "law", "gain (%)", "95 %"), [
-        (name, e.unit, f"{e.reference:.3g}", f"{e.session:.3g}", f"{e.named:.3g}", f"{e.gain_percent:.0f}",
-         f"{e.gain_interval[0]:.0f} … {e.gain_interval[1]:.0f}") for name, e in laws.errors.items()])
-    if laws.nearly:
-        print("Nearly as likely: " + ", ".join(f"{name} ({nats:.0f} nats)" for name, nats in laws.nearly[:3]) + ".")
-    if laws.experiment:
-        print(f"To confirm: {laws.experiment}.")
+        "signal", "unit", "reference", "session", "law"), [
+        (name, f.unit, *(terminal.number(value, 4) for value in (f.rmse_before, f.rmse_session, f.rmse_after)))
+        for name, f in found.errors.items()])
     for path in written:
         print(f"Wrote {path}.")
