@@ -23,7 +23,7 @@ from diagnosis.laws.law_result import Laws
 from diagnosis.wire_faults import WireFindings
 from estimation import simulation_fit
 from estimation.bench_fit import oriented, turned
-from estimation.data import integrity, scales, table
+from estimation.data import integrity, scales, table, windows
 from estimation.data.table import Table
 from estimation.likelihood_data import MOTION
 from estimation.path_model import can_be_of_bench, is_of_bench
@@ -278,7 +278,7 @@ def _of_wire(carried: WireFindings, warnings: list[str]) -> Findings:
 
 
 def _read(given: str | Path | Table) -> Table:
-    return given if isinstance(given, Table) else table.read(given)
+    return windows.bounded(given if isinstance(given, Table) else table.read(given))
 
 
 def _filtered(given: Table, lowpass: float | None) -> Table:

@@ -37,20 +37,23 @@ class GrowingTrial:
         self._schemas: dict[int, tuple[str, str, str]] = {}
         self._channel: int | None = None
 
-    def rows(self) -> NDArray[np.float64]:
-        """Return the rows that have come since the last call, shape (rows, columns); none before the file is there.
+    def rows(self, most: int = 65_536) -> NDArray[np.float64]:
+        """Return rows that have come since the last call, shape (rows, columns); none before the file is there.
+
+        `most`: number of rows after which the others are left to the next call.
 
         Raises `InputError` for a file that is no trial of this project.
         """
         found: list[NDArray[np.float64]] = []
+        count = 0
         if not self.closed and self._grown():
             with records.mapped(self.path) as view:
-                while not self.closed and self._at + HEAD_BYTES <= len(view):
+                while not self.closed and count < most and self._at + HEAD_BYTES <= len(view):
                     end = self._at + HEAD_BYTES + int.from_bytes(view[self._at + 1:self._at + HEAD_BYTES], "little")
                     if end > len(view):
                         break
-                    found += self._record(view, view[self._at], self._at + HEAD_BYTES, end)
-                    self._at = end
+                    part = self._record(view, view[self._at], self._at + HEAD_BYTES, end)
+                    found, count, self._at = [*found, *part], count + sum(map(len, part)), end
         return np.concatenate(found) if found else np.zeros((0, len(self.columns)))
 
     def _grown(self) -> bool:

@@ -147,7 +147,7 @@ def several(given: Given | Iterable[Given]) -> list[Given]:
 
 
 def table_of(given: Given, path: str | None) -> Table:
-    """Return the columns of a trial; `path`: the force path of a trial of several."""
-    from estimation.data import table
+    """Return the columns of a trial, of a long one in windows; `path`: the force path of a trial of several."""
+    from estimation.data import table, windows
 
-    return table.read(given.path if isinstance(given, Trial) else given, path)
+    return windows.bounded(table.read(given.path if isinstance(given, Trial) else given, path))

@@ -25,6 +25,7 @@ from estimation.reference_fit import fit_reference
 from estimation.running_evidence import Naming, RunningEvidence, WatchVerdict
 from parameters import InputError
 from physics.effects.hypotheses import HYPOTHESES
+from physics.laws import Array
 from trial.growing import GrowingTrial
 from trial.signals import of_path
 
@@ -82,19 +83,20 @@ class FileWatch:
 
         `last`: nothing more comes, and the cycle that was begun counts as complete.
         """
-        rows = self._file.rows()
-        if self._windows is None and self._file.columns:
+        with threadpool_limits(1, user_api="blas"):
+            while (rows := self._file.rows()).size:
+                for window in self._cut(rows):
+                    yield from self._judged(window)
+            if last and self._windows is not None:
+                for window in self._windows.rest():
+                    yield from self._judged(window)
+
+    def _cut(self, rows: Array) -> Iterator[GaitWindow]:
+        if self._windows is None:
             own = [name if self._bench.path is None else of_path(name, self._bench.path) or ""
                    for name in self._file.columns]
             self._windows = GaitWindows(own, _period_s(self._tables))
-        if self._windows is None:
-            return
-        with threadpool_limits(1, user_api="blas"):
-            for window in self._windows.add(rows):
-                yield from self._judged(window)
-            if last:
-                for window in self._windows.rest():
-                    yield from self._judged(window)
+        return self._windows.add(rows)
 
     def _judged(self, window: GaitWindow) -> Iterator[WatchVerdict]:
         outputs = tuple(n for n in SIGNALS if n in window.columns and all(n in t for t in self._tables))

@@ -64,6 +64,7 @@ def stamps(given: Table, gap_steps: float = 5.0, least_rows: int = 100) -> Itera
                       f"{time[back[0]]:g}), {back.size} times in all.", True)
         return
     usual = float(np.median(step))
+    step[np.asarray(given.seams, np.intp) - 1] = usual
     gaps = step > gap_steps * usual
     if gaps.any():
         yield Finding(f"{given.source}: time_s has {int(gaps.sum())} gaps, the longest {step.max():.3g} s "

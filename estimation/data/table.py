@@ -22,6 +22,7 @@ from physics.plant.leg import KNEE_AT_FIT
 from trial import paths, slow_columns
 from trial.convert.csv_table import offer
 from trial.convert.sheets import ENDINGS, sheet_of
+from trial.read import TrialFile, open_file
 from trial.signals import MOTION_AND_FORCE, of_path
 
 UNITS: Final[Mapping[str, str]] = {signal.name: signal.unit for signal in MOTION_AND_FORCE}
@@ -51,7 +52,7 @@ class Table:
     motor's voltage was recorded in place of its torque.  `experiment`: name of the experiment ("": unknown).
     `joints`: joints of a serial arm that were recorded together, from base to tip; `joint`: the one whose columns these
     are.  The other ones' angles are columns `<joint>.servo_position_m`.  `before`: rows before the first numbered
-    cycle, such as homing.
+    cycle, such as homing.  `seams`: rows at which a window of a long trial begins (`windows.bounded`).
     """
 
     source: str
@@ -66,6 +67,7 @@ class Table:
     joints: tuple[str, ...] = ("",)
     joint: str = ""
     before: Mapping[str, Array] = field(default_factory=dict)
+    seams: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return len(self.columns["time_s"])
@@ -221,26 +223,28 @@ def _digest(columns: Mapping[str, Array]) -> str:
 
 
 def _read_mcap(path: Path, joint: str | None) -> Table:
-    from trial import read as reader
-
-    trial: Any = reader.open(path)
+    trial: TrialFile = open_file(path)
     if joint is not None and paths.names(trial):  # the commands hand over a single path
         trial = paths.one_path(trial, joint)
-    columns = {name: values for name, values in trial.columns.items()
-               if (name in UNITS or name.endswith(AGE_SUFFIX)) and not np.isnan(values).all()}
-    if _without_knee_drive(trial.columns):
+    words = [name for name in ("servo_statusword", "knee_statusword") if name in trial.units]
+    read = _columns(trial, [*(name for name in trial.units if name in UNITS or name.endswith(AGE_SUFFIX)), *words])
+    columns = {name: values for name, values in read.items() if name not in words and not np.isnan(values).all()}
+    if len(words) == 2 and np.isnan(read[words[1]]).all() and not np.isnan(read[words[0]]).all():
         columns.pop("knee_target_rad", None)  # a request to a person who moves the knee; no drive follows it
     made = table(str(path), columns, _carried_calibration(trial))
     return replace(made, experiment=trial.metadata.get("experiment", ""))
 
 
-def _without_knee_drive(columns: Mapping[str, Array]) -> bool:
-    """Return whether the servo has recorded a statusword and the knee drive none, so that the knee has no drive."""
-    words = [columns.get(f"{name}_statusword", np.zeros(0)) for name in ("servo", "knee")]
-    return bool(words[1].size and np.isnan(words[1]).all() and not np.isnan(words[0]).all())
+def _columns(trial: TrialFile, names: Sequence[str]) -> dict[str, Array]:
+    """Return columns of a trial, read by block, since a long trial's other columns would fill the memory."""
+    parts: dict[str, list[Array]] = {name: [] for name in names}
+    for block in trial.blocks(names):
+        for name, values in block.columns.items():
+            parts[name].append(values.copy())
+    return {name: np.concatenate([np.zeros(0), *parts.pop(name)]) for name in names}
 
 
-def _carried_calibration(trial: Any) -> Mapping[str, Any] | None:
+def _carried_calibration(trial: TrialFile) -> Mapping[str, Any] | None:
     """Return the calibration attached to a trial; None without one, and for the packaged nominal calibration."""
     import tomllib
 

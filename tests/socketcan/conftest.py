@@ -1,7 +1,7 @@
 """Where these tests run: on this kernel if it has CAN, else in a guest kernel, else not at all, with the reason.
 
 The rule of this file: a test is an ordinary test either way.  A file's marker `guest(place, …)` names where its tests
-may run, best first; all tests of one back end share one guest, and the guest's own reports are handed on as they are.
+may run, best first; all tests share one guest, and the guest's own reports are handed on as they are.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ GUEST = ROOT.parent / "shared" / "run_in_vm.sh"
 INSIDE = "CANVM" in os.environ
 REPORTS = "BOWDEN_GUEST_REPORTS"
 NO_GUEST = 125
-NATIVE = "native"
-LIMIT_S = 2700
+NATIVE, UML = "native", "uml"
+LIMIT_S = 1800
 """Wall time that one guest may take: several times what it needs on idle cores."""
 MEMORY_MIB = 2048
 _CHANNELS = ("vcan0", "vcan1")
@@ -40,7 +40,7 @@ Reports = dict[str, list[dict[str, Any]]]
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", f"guest(place, …): where a file's tests may run: {NATIVE}, uml, icount")
+    config.addinivalue_line("markers", f"guest(place, …): where a file's tests may run: {NATIVE}, {UML}")
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -51,10 +51,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @cache
-def lacks(place: str) -> str | None:
-    """Why a place cannot run tests; None where it can, or where only running them there will tell."""
-    if place != NATIVE:
-        return _guest_lacks(place)
+def lacks() -> str | None:
+    """Why this kernel cannot run the tests; None where it can."""
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as error:
@@ -65,33 +63,20 @@ def lacks(place: str) -> str | None:
     return "only root may take interfaces down" if os.geteuid() else None
 
 
-def _guest_lacks(backend: str) -> str | None:
-    if not GUEST.exists():
-        return f"{GUEST.name} is absent"
-    tried = subprocess.run([GUEST, "-b", backend, "-t", "300", "--", "true"], cwd=ROOT, text=True, check=False,
-                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-    return tried.stdout.strip().rpartition("\n")[2] if tried.returncode else None
-
-
-def place_of(item: pytest.Item) -> str | None:
-    """The best place that there is for a test; None for a test of another kind."""
+def in_guest(item: pytest.Item) -> bool:
+    """Return whether a test goes to the guest: it may run there, and this kernel cannot run it."""
     marker = item.get_closest_marker("guest")
-    if INSIDE or marker is None:
-        return None
-    *better, last = marker.args
-    return next((place for place in better if lacks(place) is None), str(last))
+    return not INSIDE and marker is not None and UML in marker.args and lacks() is not None
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
     """Take the reports of a test from its guest; None lets it run here."""
-    place = place_of(item)
-    if place is None or place == NATIVE:
+    if not in_guest(item):
         return None
-    had = item.session.stash.setdefault(_STASH, {})
-    if place not in had:
-        had[place] = _in_guest([other.nodeid for other in item.session.items if place_of(other) == place], place)
-    said, why = had[place]
+    if _STASH not in item.session.stash:
+        item.session.stash[_STASH] = _in_guest([other.nodeid for other in item.session.items if in_guest(other)])
+    said, why = item.session.stash[_STASH]
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     reports_of = said.get(item.nodeid, [])
     ended = any(report["when"] == "teardown" for report in reports_of)
@@ -104,30 +89,27 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
     return True
 
 
-_STASH = pytest.StashKey[dict[str, tuple[Reports, str]]]()
+_STASH = pytest.StashKey[tuple[Reports, str]]()
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say where the tests ran, and why not where they would rather have."""
-    session = terminalreporter._session
-    for place, (said, _) in (session.stash.get(_STASH, {}) if session else {}).items():
-        terminalreporter.write_line(f"kernel's CAN: {len(said)} tests ran in a guest, {place}")
-        for better in {other for item in session.items for mark in item.iter_markers("guest") for other in mark.args}:
-            if better != place and (reason := lacks(better)) is not None:
-                terminalreporter.write_line(f"  not {better}: {reason}")
+    """Say how many tests ran in a guest, and why."""
+    if (session := terminalreporter._session) is not None and _STASH in session.stash:
+        said = session.stash[_STASH][0]
+        terminalreporter.write_line(f"kernel's CAN: {len(said)} tests ran in a guest, {UML}: {lacks()}")
 
 
-def _in_guest(chosen: list[str], backend: str) -> tuple[Reports, str]:
+def _in_guest(chosen: list[str]) -> tuple[Reports, str]:
     """Run tests in a guest; their reports by node id, and what became of the rest ("skip: …" or "fail: …")."""
     if not GUEST.exists():
-        return {}, f"skip: not run: {lacks(NATIVE) or 'this wants a guest of its own'}, and {GUEST.name} is absent"
+        return {}, f"skip: not run: {lacks()}, and {GUEST.name} is absent"
     warm_guests()
     lean = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     with tempfile.TemporaryDirectory() as folder, open(Path(tempfile.gettempdir(), "canvm.lock"), "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         reports = Path(folder, "reports.jsonl")
         ended = subprocess.run(
-            [GUEST, "-b", backend, "-t", str(LIMIT_S), "-m", str(MEMORY_MIB), "-w", folder, "--",
+            [GUEST, "-b", UML, "-t", str(LIMIT_S), "-m", str(MEMORY_MIB), "-w", folder, "--",
              sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "socketcan", *chosen],
             cwd=ROOT, text=True, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             env={**os.environ, **FOR_GUESTS, **lean, REPORTS: str(reports)})

@@ -8,7 +8,7 @@ import pytest
 
 from tests.socketcan import rig
 
-pytestmark = pytest.mark.guest("native", "uml", "icount")
+pytestmark = pytest.mark.guest("native", "uml")
 
 
 def findings(folder: Path, channel: str) -> dict[str, dict[str, object]]:

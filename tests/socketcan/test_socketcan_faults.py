@@ -22,13 +22,12 @@ from master.network.socketcan import KernelBus
 from tests.socketcan import rig
 from trial.mcap_file.cdr import ERROR
 
-pytestmark = pytest.mark.guest("native", "uml", "icount")
+pytestmark = pytest.mark.guest("native", "uml")
 
 SHORT = ("--cycles", 1, "--settle", 0, "--period", 1, "--peak", 20, "--dry-run")
 ENDLESS = (*SHORT, "--cycles", 600)
 """Ten minutes of gait: such a trial ends by the fault, or fails its test."""
 TARGETS = 0x201
-FOREIGN = "foreign command on the bus: .*"
 STARVED = r"emergency message: \w+: 0x8250, RPDO time-out"
 """ip and tc hold this guest's one processor for longer than the drives wait for targets."""
 ERROR_FLAG = 0x20000000
@@ -68,12 +67,13 @@ def send_many(link: Link) -> None:
 
 
 @pytest.mark.usefixtures("nodes")
-def test_candump_holds_the_same_frames(tmp_path: Path) -> None:
+def test_a_whole_trial_pulls_and_candump_holds_the_same_frames(tmp_path: Path) -> None:
     log = tmp_path / "candump.log"
     with log.open("w") as file, subprocess.Popen(["candump", "-r", "8000000", "-L", "vcan0"], stdout=file) as candump:
-        told = rig.trial(tmp_path, "vcan0", *rig.patient(tmp_path), *SHORT).wait()
+        told = rig.trial(tmp_path, "vcan0", *rig.patient(tmp_path), *SHORT[:-1]).wait()
         candump.terminate()
-    assert told.status == 0, told
+    assert (told.status, told.result["outcome"]) == (0, "completed"), told
+    assert np.nanmax(rig.recorded(tmp_path).columns["tension_end_n"]) > 5.0, "homed, then pulled"
     theirs = [(round(float(stamp) * 1e6), int(can_id, 16), bytes.fromhex(data)) for stamp, can_id, data in re.findall(
         r"^\((\S+)\) vcan0 ([0-9A-F]{3})#([0-9A-F]*)", log.read_text(), re.MULTILINE)]
     frames = rig.recorded(tmp_path).frames
@@ -96,14 +96,11 @@ def test_a_link_that_goes_down_ends_the_trial_and_the_next_one_runs(tmp_path: Pa
     assert again.result["outcome"] == "completed", again
 
 
-@pytest.mark.parametrize(("can_id", "count"), [(0x604, 3), (TARGETS, 5)], ids=["in bring-up", "in the cycle"])
-def test_an_interface_that_is_removed_ends_bench_and_trial(
-    tmp_path: Path, own: str, can_id: int, count: int
-) -> None:
+def test_an_interface_that_is_removed_ends_bench_and_trial(tmp_path: Path, own: str) -> None:
     with rig.bench(tmp_path, own, *rig.patient(tmp_path)) as bench:
         with KernelBus(own) as watching:
             process = rig.trial(tmp_path, own, *rig.patient(tmp_path), *ENDLESS)
-            rig.heard(watching, can_id, count)
+            rig.heard(watching, TARGETS, 5)
         rig.shell(f"ip link del {own}")
         told, served = process.wait(), bench.wait()
     assert (told.status, served.status) == (1, 1), (told, served)
@@ -114,38 +111,12 @@ def test_an_interface_that_is_removed_ends_bench_and_trial(
 
 
 @pytest.mark.usefixtures("nodes", "shaped")
-def test_lost_frames_are_counted(tmp_path: Path) -> None:
-    process = running(tmp_path, *SHORT, "--cycles", 4)
-    rig.shell("tc qdisc add dev vcan0 root netem loss 20%")
-    told = process.wait()
-    assert told.result["missed_cycles"] > 0
-    assert told.result["stop_reason"] is None or re.match(
-        r"(inputs too old|heartbeat lost|emergency message|SYNC missing): ", told.result["stop_reason"]), told
-
-
-@pytest.mark.usefixtures("nodes", "shaped")
-@pytest.mark.parametrize(("discipline", "reason"), [
-    ("loss 100%", r"(SYNC missing: none for \d+ ms|inputs too old: .*)"),
-    # netem gives delayed frames back without the mark that they are the sender's own: SYNC then looks foreign
-    ("delay 300ms", rf"(inputs too old: \w+ missed 100 cycles in a row|{STARVED}|{FOREIGN})"),
-    ("limit 1 delay 2s", rf"(SYNC missing: none for \d+ ms|inputs too old: .*|emergency message: .*|{FOREIGN})"),
-])
-def test_a_bus_that_cannot_keep_up_stops_the_trial(tmp_path: Path, discipline: str, reason: str) -> None:
+def test_a_bus_that_loses_every_frame_stops_the_trial(tmp_path: Path) -> None:
     process = running(tmp_path, *ENDLESS)
-    rig.shell(f"tc qdisc add dev vcan0 root netem {discipline}")
+    rig.shell("tc qdisc add dev vcan0 root netem loss 100%")
     told = process.wait()
     assert told.status == 1
-    assert re.fullmatch(reason, told.result["stop_reason"]), told
-
-
-@pytest.mark.usefixtures("nodes", "shaped")
-def test_at_one_mbit_the_pdos_take_their_time(tmp_path: Path) -> None:
-    """netem's rate counts 16 bytes a frame, 0.128 ms; four TPDOs answer SYNC."""
-    rig.shell("tc qdisc add dev vcan0 root netem rate 1mbit")
-    told = rig.trial(tmp_path, "vcan0", *rig.patient(tmp_path), *SHORT).wait()
-    assert told.result["outcome"] == "completed", told
-    arrival = rig.recorded(tmp_path).columns["end_pdo_arrival_ns"]
-    assert np.nanmedian(arrival) > 4 * 128_000
+    assert re.fullmatch(r"(SYNC missing: none for \d+ ms|inputs too old: .*)", told.result["stop_reason"]), told
 
 
 def test_a_full_transmit_queue_is_waited_for_then_named(own: str) -> None:

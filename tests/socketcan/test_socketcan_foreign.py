@@ -15,7 +15,7 @@ from eds.bench.bench_network import KNEE
 from eds.dictionary import packaged
 from tests.socketcan import rig
 
-pytestmark = pytest.mark.guest("native", "uml", "icount")
+pytestmark = pytest.mark.guest("native", "uml")
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = Path(os.environ.get("BOWDEN_NODE_MODULES", ROOT / "build" / "foreign" / "node_modules"))

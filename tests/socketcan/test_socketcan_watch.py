@@ -17,7 +17,7 @@ GAIN = 1.06
 
 
 def test_a_changed_bench_is_named_while_its_trial_runs(tmp_path: Path) -> None:
-    if (reason := lacks(NATIVE)) is not None:
+    if (reason := lacks()) is not None:
         pytest.skip(f"not run: {reason}")
     good, changed = tmp_path / "good.mcap", tmp_path / "changed.toml"
     changed.write_text(f"[effects.start_gain]\nstart_gain = {GAIN}\n", encoding="utf-8")

@@ -22,6 +22,7 @@ from parameters.files import write_whole
 if TYPE_CHECKING:
     from diagnosis.evidence.planned_limits import Plan
     from diagnosis.findings import Findings
+    from estimation.data.table import Table
 
 Trials = Annotated[list[Path] | None, typer.Argument(
     metavar="TRIAL…", help="MCAP, or CSV (.gz) with canonical headers.", show_default=False)]
@@ -241,13 +242,12 @@ def _diagnosed(
     from bowden.models import diagnosing
     from diagnosis import extension
     from diagnosis.finder import Finder
-    from estimation.data import table
 
-    groups: list[list[table.Table]] = [[], [], []]
+    groups: list[list[Table]] = [[], [], []]
     files = [(group, file) for group, files in enumerate((trials, healthy, holdout)) for file in files]
     for done, (group, file) in enumerate(files):
         step(f"reading {file.name}", READING * done / len(files))
-        groups[group].append(table.read(file, path))
+        groups[group].append(diagnosing.table_of(file, path))
     step("fitting the healthy trials" if healthy else "preparing", READING)
     finder = Finder(calibration, lowpass, deviations).examine(groups[1])
     step("fitting the effects, cycle by cycle", SEARCHING)
