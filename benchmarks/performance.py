@@ -28,14 +28,24 @@ PAGE = DOCS / "performance.md"
 HEAD = ("what", "here", "peer", "peer's", "ratio (quartiles)")
 
 
+IMPORTS = "import can, canopen, mcap, numba, numpy, typer; numba.njit('int64(int64)')(lambda a: a)"
+"""What a simulated trial cannot do without."""
+
+
 def start() -> Iterator[Row]:
-    """`bowden --help`, and the first compilation."""
+    """`bowden --help`, a short trial beside the imports that it cannot do without, and the first compilation."""
     bare = "import typer; a = typer.Typer(); a.command('a')(lambda: None); a.command('b')(lambda: None); a()"
     commands = [str(Path(sys.executable).with_name("bowden")), "--help"], [sys.executable, "-c", bare, "--help"]
     own, peer = np.array([[_used(command) for command in commands] for _ in range(15)]).T
     yield ("`bowden --help`, s of CPU", f"{np.median(own):.2f}", "a bare Typer program of two commands",
            f"{np.median(peer):.2f}", quartiles(own, peer, 2))
     with tempfile.TemporaryDirectory() as folder:
+        commands = ([str(Path(sys.executable).with_name("bowden")), "trial", "--cycles", "3", "--overwrite", "-o",
+                     f"{folder}/3.mcap"], [sys.executable, "-c", IMPORTS])
+        own, peer = np.array([[_used(command) for command in commands] for _ in range(5)]).T
+        yield ("`bowden trial --cycles 3`, s of CPU", f"{np.median(own):.1f}",
+               "import of its libraries, and one function loaded by numba", f"{np.median(peer):.1f}",
+               quartiles(own, peer, 2))
         code = "from bowden.trials.session import compile_laws; compile_laws(simulated=True)"
         first, later = (_used([sys.executable, "-c", code], NUMBA_CACHE_DIR=folder) for _ in range(2))
     yield ("laws compiled on a new machine, s of CPU", f"{first:.1f}", "loaded from the cache", f"{later:.1f}", "–")
@@ -47,10 +57,16 @@ MEMORY = {
     "bowden export, Parquet": "export {at}.mcap -o {at}.parquet", "bowden export, BLF": "export {at}.mcap -o {at}.blf",
 }
 """Commands whose memory does not depend on the length of a trial, in the order in which they run."""
+HEALTHY = "trial --period 2 --cycles 10 --peak 45 --seed 1 -o {at}.healthy.mcap"
+BOUNDED = {"bowden diagnose": "diagnose {at}.mcap --healthy {at}.healthy.mcap",
+           "bowden watch": "watch {at}.mcap --healthy {at}.healthy.mcap"}
+"""Commands that read windows of a long trial."""
+HOUR_CYCLES = 1800
+"""Gait cycles of 2 s in an hour."""
 
 
 def memory() -> Iterator[Row]:
-    """Peak memory of commands with a trial of 240 s, beside one of 30 s."""
+    """Peak memory of commands with a trial of 240 s, beside one of 30 s; of those that read windows with an hour."""
     command = str(Path(sys.executable).with_name("bowden"))
     with tempfile.TemporaryDirectory() as folder:
         for name, line in MEMORY.items():
@@ -58,6 +74,12 @@ def memory() -> Iterator[Row]:
                            for cycles in (15, 120))
             yield (f"peak memory of `{name}`, a trial of 240 s, MB", f"{long:.0f}", "one of 30 s", f"{short:.0f}",
                    f"{short / long:.2f}")
+        hour = f"{folder}/hour"
+        for line in (MEMORY["bowden trial"], HEALTHY):
+            peak_mb([command, *line.format(at=hour, cycles=HOUR_CYCLES).split()])
+        for name, line in BOUNDED.items():
+            peak = peak_mb([command, *line.format(at=hour).split()])
+            yield f"peak memory of `{name}`, a trial of an hour at 1 kHz, MB", f"{peak:.0f}", "–", "–", "–"
 
 
 ROWS: dict[str, Callable[[], Iterator[Row]]] = {

@@ -148,12 +148,12 @@ def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[Tr
 def _watches(bench: WatchedBench | None, output: Path, network: Any, chosen: BusSettings, json: bool
              ) -> Iterator[dict[str, TrialWatch]]:
     """Yield the watch of each force path of the trial, each in a separate process; none without --watch."""
-    from bowden.live.feeds import places
-    from bowden.watch import watch_process
-
     if bench is None:
         yield {}
         return
+    from bowden.live.feeds import places
+    from bowden.watch import watch_process
+
     with ExitStack() as stack:
         yield {path: stack.enter_context(watch_process.beside(
             output, replace(bench, path=path or None), place, paced=chosen.simulated, shown=not json))
