@@ -1,7 +1,7 @@
-"""Windows of a long trial, so that the memory of a diagnosis is bounded.
+"""Windows of a long trial, which bound the memory of a diagnosis.
 
-The memory and the time of a fit grow with the trial, what the fit tells does not: the model's error and the scatter
-between sessions, which do not average out, limit it.
+Memory and time of a fit grow with the length of the trial.  Its error does not fall, since the model error and the
+scatter between sessions do not average out.
 """
 
 from __future__ import annotations
