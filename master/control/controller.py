@@ -90,7 +90,7 @@ class Controller(Protocol[State]):
 
     @abstractmethod
     def initial(self) -> State:
-        """Return the memory that it starts with."""
+        """Return the controller's memory before the first control cycle."""
 
     @abstractmethod
     def step(self, seen: ControllerInput, state: State) -> tuple[ControllerOutput, State, Trace]:

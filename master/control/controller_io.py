@@ -43,11 +43,10 @@ class ControllerOutput(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """Why the targets are what they are, NaN where a controller has no such thing.
+    """Intermediate values of a step; NaN where a controller has none.
 
     The first two and the six after them are signals of `/cycle`; `zero_m` is the shift of the rope's zero since homing
-    that the controller follows; `own` are the values of the controller's own
-    `columns`, in their order.
+    that the controller follows; `own` are the values of the controller's own `columns`, in their order.
     """
 
     desired_force_n: float

@@ -32,13 +32,15 @@ Effects = Mapping[str, Values]
 LAPS: Final = 8
 """Gait cycles after which an effect with a memory is taken to have settled."""
 MIDWAY: Final = 0.5
-"""Time in the trial at which a drifting effect is compensated: its mean; the feedback corrects the difference."""
+"""Share of the trial at which a drifting effect has its mean: tables compensate that; the feedback corrects the
+difference."""
 LEAST_EXPONENT: Final = 1e-3
 AROUND: Final = frozenset({"load_slope", "viscous", "start_gain"})
-"""Quantities that tables around any controller meet, though a calibration has a scalar for them: not every one reads
-it."""
+"""Quantities that are compensated by tables, although a calibration has a scalar for them: not every controller reads
+that scalar."""
 SMOOTH_S: Final = 0.02
-"""Time constant of the smoothing of corrections: tables have steps, a target must not."""
+"""Width of the smoothing of corrections, s: tables have steps, and a step of the target would exceed the drive's speed.
+"""
 
 
 def calibrated(calibration: Calibration, found: Effects) -> tuple[Calibration, dict[str, Values]]:
@@ -64,7 +66,8 @@ def calibrated(calibration: Calibration, found: Effects) -> tuple[Calibration, d
 
 @dataclass(frozen=True)
 class Correction:
-    """By sample of the gait cycle: rope led ahead, m; knee read too far, rad; START = gain·wanted + more, N.
+    """Corrections by sample of the gait cycle: rope motion that the effects require, m; error of the knee's reading,
+    rad; START reads gain · tension + more, N.
 
     `home_gain` is START's gain while homing.
     """
@@ -76,14 +79,14 @@ class Correction:
     home_gain: float
 
     def seen(self, seen: ControllerInput, offset_n: float) -> ControllerInput:
-        """Return what would be seen without the effects; `offset_n` is START's reading when slack."""
+        """Return the inputs of a bench without the effects; `offset_n` is START's reading when slack."""
         i = seen.table_index(len(self.rope_m))
         start_n = (seen.start_n - offset_n - self.start_more_n[i]) / self.start_gain[i] + offset_n
         return seen._replace(servo_position_m=seen.servo_position_m - self.rope_m[i], start_n=start_n,
                              knee_angle_rad=seen.knee_angle_rad - self.knee_rad[i])
 
     def feed_forward(self, outputs: ControllerOutput, sample: int) -> ControllerOutput:
-        """Return the targets with the effects in them, for the `sample` at which they act."""
+        """Return the targets with the rope motion that the effects require at `sample`, when they act."""
         return outputs._replace(servo_target_m=outputs.servo_target_m + self.rope_m[sample % len(self.rope_m)])
 
 

@@ -169,7 +169,7 @@ def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedan
 def step(
     seen: ControllerInput, state: ExtendedState, config: ExtendedConfig
 ) -> tuple[ControllerOutput, ExtendedState, Trace]:
-    """One control cycle: the model's rope position for the time at which the target acts, plus feedback and
+    """Return one control cycle: the model's rope position for the time at which the target acts, plus feedback and
     correction."""
     gait, samples = config.gait, config.gait.samples
     now = seen.sample % samples if seen.place is None else seen.place
@@ -229,10 +229,10 @@ def step(
 
 
 def _departures(state: ExtendedState, gait: GaitTable, knee: float, now: float, rate: float) -> tuple[float, ...]:
-    """Return the knee's departures from its reference, this one last.
+    """Return the knee's departures from its reference, rad, this one last.
 
-    Where a felt phase is lost or found, the reference halts or jumps: the older ones are then those of a knee that has
-    the speed that it had.
+    If a felt phase is lost or found, the reference jumps: the older departures are then extrapolated from this one at
+    the knee's measured speed.
     """
     departure = knee - at(gait.knee, now)
     known = state.departures
@@ -246,10 +246,10 @@ def _departures(state: ExtendedState, gait: GaitTable, knee: float, now: float, 
 
 
 def _heard(paths: tuple[Ahead, ...], resting: int) -> float:
-    """Share of its gain that the feedback has: all of it while rope and fabric slide, little while they reverse.
+    """Return the share of the feedback's gain: 1 while rope and fabric slide, less while they reverse.
 
-    During a reversal the rope is stiffer by the factor in `TURNED`, and the faster START departs from END, the less
-    END can be estimated from it.
+    During a reversal the rope is stiffer by the factor in `TURNED`, and the faster START departs from END, the less END
+    can be estimated from it.
     """
     if not resting:
         return 1.0
@@ -270,7 +270,8 @@ def trusted(error_n: float, doubt_n: float) -> float:
 
 
 def _side(state: ExtendedState, here: Ahead, gait: GaitTable, now: float) -> float:
-    """−1…1: where in its play the leg is; while none is known, behind the way that the knee moves."""
+    """Return the leg's position in its backlash, −1…1; before the backlash is estimated, the side behind the knee's
+    motion."""
     if state.followed.play > 0.0:
         return here.leg * state.law.rope_per_knee / state.followed.play
     moved = at(gait.knee, now + 1) - at(gait.knee, (now - 1) % gait.samples)
@@ -280,9 +281,10 @@ def _side(state: ExtendedState, here: Ahead, gait: GaitTable, now: float) -> flo
 def look_ahead(
     state: ExtendedState, config: ExtendedConfig, now: float, departures: tuple[float, ...], seen: ControllerInput
 ) -> tuple[tuple[Ahead, ...], tuple[float, ...], tuple[float, ...], tuple[float, float]]:
-    """The model's answer one control cycle beyond the delay, the knee led on at the speed of its departure.
+    """Return the model's results, pre-sliding states and leg one control cycle beyond the delay.
 
-    The leg follows the knee's drive with the play that was followed.
+    The knee is extrapolated at the speed of its departure; the leg follows the knee's drive with the estimated
+    backlash.
     """
     gait, cycles = config.gait, config.ahead + 1
     then = (now + (cycles if seen.place is None else cycles * seen.rate)) % gait.samples
@@ -307,7 +309,8 @@ def look_ahead(
 
 
 def _half_width(force: float, ratio: float, rate: float, resting: float, here: Ahead, config: ExtendedConfig) -> float:
-    """Half the 95 % interval of the END estimate, N: START's noise, lag and gain, the friction followed and turning.
+    """Return half of the 95 % interval of the END estimate, N: START's noise, lag and gain, and the uncertainty of
+    friction.
 
     While friction turns over, and `resting` (1…0) after it, an exponent may lie anywhere between both ends.
     """
@@ -320,10 +323,11 @@ def _half_width(force: float, ratio: float, rate: float, resting: float, here: A
 
 
 def _migrated(learnt: Array, feedback: Array, shifted_m: float, config: ExtendedConfig) -> tuple[Array, Array, float]:
-    """Return (learnt correction, feedback, shift) of a gait cycle, m, of which the rope's zero has taken its part.
+    """Return (learnt correction, feedback, shift) of a gait cycle, m, after the shift of the rope's zero is moved out
+    of both.
 
-    Only a zero moves the rope by as much under every load: that part is the mean correction while a force is desired.
-    It is followed at idle, too, where nothing measures it.
+    A shifted zero moves the rope equally under every load: the shift is the mean correction while a force is desired.
+    It also applies at idle, where nothing measures it.
     """
     by_stride, in_all = config.migration
     taut = 1.0 - np.array(config.gait.slack) / max(config.gait.slack)
@@ -334,7 +338,8 @@ def _migrated(learnt: Array, feedback: Array, shifted_m: float, config: Extended
 
 
 def on_cycle_end(state: ExtendedState, config: ExtendedConfig) -> ExtendedState:
-    """A gait cycle is over: its feedback and the drive's errors are learnt, its evidence moves the friction."""
+    """Update the memory at the end of a gait cycle: learn the feedback and the drive's errors, estimate the friction.
+    """
     followed = follow(state.followed, evidence_of(state.history))
     feedback, missed = learning.columns(state.history, config.gait.samples)
     known, shifted_m = state.learnt, state.shifted_m

@@ -72,8 +72,11 @@ class Reading(NamedTuple):
 
 
 RAMP_S: Final = 0.06
-"""Time in which the force goes where there is no phase, and in which the rope is paid out then, s: with what the
-innovation test needs of a stumble, a tenth of a second.  Shorter: the drive's bound of speed makes a step of it."""
+"""Time, s, in which the force falls to zero after the phase is lost, and then in which the rope is paid out.
+
+With the innovation test's own delay, a stumble is answered within a tenth of a second. Shorter: the target reaches the
+drive's speed limit.
+"""
 MARGIN, SURE = 0.05, 0.01
 """Part of a stride for which the rope must stay slack before the force is asked for again, and the greatest standard
 deviation of the phase then, cycles: half of that with which a phase begins, so that some time passes."""
@@ -147,7 +150,7 @@ def step(config: PhaseConfig, memory: Array, angle_rad: float) -> tuple[Reading,
 
 @njit(inline="always")
 def _template(template: Any, phase: float) -> Any:
-    """(T, dT/dφ) at a phase, cycles, between samples by a straight line."""
+    """Return (T, dT/dφ) at a phase, cycles, by linear interpolation."""
     n = template.size
     x = (phase - math.floor(phase)) * n
     i = int(x)
@@ -197,7 +200,8 @@ def _compile() -> Any:
 
 @njit(cache=True)
 def _acquire(s: Any, template: Any, mean: float, rate0: float, away: float) -> None:
-    """Compare the kept angles with the template at every phase and rate; begin the filter where one phase is left."""
+    """Search the phase: compare the stored angles with the template at every phase and rate; start the filter if one
+    fits."""
     misfit = np.empty(PHASES)
     rates = np.empty(PHASES)
     effective = 0.5 * LAMBDA_T * rate0 * DELAY_S * DELAYS

@@ -84,28 +84,29 @@ def samples_of(gait_period_s: float, rate_hz: int) -> int:
 
 
 def stretch(calibration: Calibration, force_n: Any) -> Any:
-    """x1 of (10), m, with the calibration's coefficients; beyond the turning point it stays at its top."""
+    """Return x1 of (10), m, with the calibration's coefficients; constant beyond the turning point of the parabola."""
     force = np.minimum(force_n, calibration.turning_point_n)
     return (calibration.stiffness_a * force + calibration.stiffness_b) * force + calibration.rope_zero
 
 
 def slope(calibration: Calibration, force_n: Any) -> Any:
-    """dx1/dF of (10), m/N, with the calibration's coefficients."""
+    """Return dx1/dF of (10), m/N, with the calibration's coefficients."""
     return 2.0 * calibration.stiffness_a * force_n + calibration.stiffness_b
 
 
 def swing(calibration: Calibration, knee_rad: Any) -> Any:
-    """k2·(θk − θk(13 %)), m: (11) in the encoder zero of (10)."""
+    """Return k2·(θk − θk(13 %)), m: (11) in the encoder zero of (10)."""
     return calibration.rope_per_knee * (knee_rad - laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
 
 
 def fabric_exponent(calibration: Calibration, knee_rad: Any) -> Any:
-    """μ2·φ with the wrap φ = φ0 + κ·|θk|."""
+    """Return μ2·φ of (7) with the wrap φ = φ0 + κ·|θk|."""
     return calibration.mu2 * (calibration.phi0 + calibration.fabric_wrap * np.abs(knee_rad))
 
 
 def directions(speed: Array, still: float) -> Array:
-    """Sign of a periodic speed that turns over only once the other way exceeds `still`; 0 if it never does."""
+    """Return the sign of a periodic speed, with hysteresis: it reverses once the opposite speed exceeds `still`; 0 if
+    it never does."""
     sign = 0.0
     held = np.zeros_like(speed)
     for _lap in range(2):
@@ -117,10 +118,10 @@ def directions(speed: Array, still: float) -> Array:
 
 
 def slack_share(desired: Array, ramp: int) -> Array:
-    """0 while a force is desired, 1 from `ramp` samples away from it, a quarter sine between; periodic.
+    """Return the periodic share of the idle slack: 0 while a force is desired, 1 from `ramp` samples away, a quarter
+    sine between.
 
-    The rope comes taut with the speed that the following force requires, so the velocity has no step at the
-    transition.
+    The rope comes taut with the speed that the following force requires, so the velocity has no step at the transition.
     """
     loaded = np.flatnonzero(desired > 0.0)
     if loaded.size == 0:

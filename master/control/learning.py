@@ -36,19 +36,18 @@ class LearningFilter:
 
 def design(samples: int, period_s: float, lead: int, cutoff_hz: float = CUTOFF_HZ,
            gain: float = GAIN) -> LearningFilter:
-    """The filter for gait cycles of `samples` control cycles: Gaussian, −6 dB at the cut-off, no phase."""
+    """Return the filter for gait cycles of `samples` control cycles: Gaussian, −6 dB at the cut-off, zero phase."""
     return LearningFilter(passes(np.asarray(np.fft.rfftfreq(samples, period_s), dtype=np.float64), cutoff_hz), gain,
                           lead)
 
 
 def passes(frequency_hz: Array, cutoff_hz: float) -> Array:
-    """Magnitude of the filter Q at a frequency."""
+    """Return the magnitude of the filter Q at a frequency."""
     return np.asarray(np.exp(-math.log(2.0) * (frequency_hz / cutoff_hz) ** 2), dtype=np.float64)
 
 
 def learn(correction: tuple[float, ...], added: Array, filter_: LearningFilter) -> tuple[float, ...]:
-    """The next gait cycle's correction by sample, m; `added` is the missing part, by the sample at which it was
-    missing."""
+    """Return the next gait cycle's correction by sample, m; `added` is the feedback's part, m, by sample."""
     ahead = filter_.gain * np.roll(added, -filter_.lead)
     total = ahead if not correction else np.array(correction) + ahead
     smooth = np.fft.irfft(np.fft.rfft(total) * filter_.response, added.size)
@@ -56,7 +55,7 @@ def learn(correction: tuple[float, ...], added: Array, filter_: LearningFilter) 
 
 
 def columns(history: Any, samples: int) -> tuple[Array, Array]:
-    """(feedback, tracking error) of one gait cycle by sample, m, from a linked list (sample, both, …, older).
+    """Return (feedback, tracking error) of one gait cycle by sample, m, from a linked list (sample, both, …, older).
 
     Samples that are fractions, of a felt phase, are interpolated.
     """
@@ -87,7 +86,7 @@ def contraction(
     slope_n_m: float, stiffness_n_m: float, damping_n_s_m: float, delay_s: float, lag_s: float, lead_s: float,
     cutoff_hz: float = CUTOFF_HZ, gain: float = GAIN, highest_hz: float = 60.0,
 ) -> float:
-    """Greatest |Q·(1 − γ·z^d·T)| over frequency: below 1 the correction converges.
+    """Return the greatest |Q·(1 − γ·z^d·T)| over frequency: below 1 the correction converges.
 
     The plant is `slope_n_m` behind a dead time and a first-order lag; the feedback 1/(B·s + K).
     """

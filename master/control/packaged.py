@@ -15,7 +15,8 @@ from physics.calibration import Calibration
 
 
 class _OfThePaper(Controller[paper.PaperState]):
-    """The table of `paper`: friction in the feedforward or not, impedance on the estimated END force or not."""
+    """A controller of the paper: with or without friction in the feedforward, with or without impedance on the END
+    estimate."""
 
     compensates: ClassVar[bool]
     listens: ClassVar[bool]

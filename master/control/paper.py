@@ -68,10 +68,10 @@ def configure(
 
 
 def step(seen: ControllerInput, state: PaperState, config: PaperConfig) -> tuple[ControllerOutput, PaperState, Trace]:
-    """One control cycle: x = x1(Fd) + (fL + fT)/kc + k2·(θk − θk(13 %)) + Δx − slack.
+    """Return one control cycle: x = x1(Fd) + (fL + fT)/kc + k2·(θk − θk(13 %)) + Δx − slack.
 
-    Equations (4), (8), (10), (11) feed forward, (3), (7) estimate END from START, (15) turns its error into Δx;
-    kc is the stiffness on the START side of the friction.  While the rope is slack there is no error to act on.
+    Equations (4), (8), (10), (11) feed forward, (3), (7) estimate END from START, (15) turns its error into Δx; kc is
+    the stiffness on the START side of the friction. While the rope is slack there is no error to act on.
     """
     gait = config.gait
     i = seen.table_index(gait.samples)

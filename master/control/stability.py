@@ -21,7 +21,8 @@ _HIGHEST = 2_000.0
 
 
 def crossing_rad_s(lag_s: float, delay_s: float) -> float:
-    """Angular frequency at which an integrator, a lag and a dead time turn by 180° together."""
+    """Return the angular frequency, rad/s, at which an integrator, a lag and a dead time together have a phase of
+    −180°."""
     low, high = 0.0, _HIGHEST
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -33,7 +34,8 @@ def crossing_rad_s(lag_s: float, delay_s: float) -> float:
 
 
 def gain_margin(calibration: Calibration, impedance: Impedance, period_s: float, peak_n: float) -> float:
-    """Factor by which the loop's gain may grow before it is unstable, at the stiffest desired force."""
+    """Return the gain margin: the factor on the loop's gain at which it becomes unstable, at the stiffest desired
+    force."""
     stiff_n_m = 1.0 / float(slope(calibration, min(peak_n, 0.98 * calibration.turning_point_n)))
     lag_s, delay_s = 1.0 / (2.0 * math.pi * calibration.servo_bandwidth), DELAY_CYCLES * period_s
     s = 1j * crossing_rad_s(lag_s, delay_s)

@@ -82,13 +82,15 @@ def _driving(exchange: Exchange, goals: tuple[State, State], patience_ns: int) -
 
 
 def _states(exchange: Exchange, inputs: Inputs) -> tuple[State | None, State | None]:
-    """CiA 402 states of servo and knee drive; None without a statusword of this SYNC or without a knee drive."""
+    """Return the CiA 402 states of servo and knee drive; None without a statusword of this SYNC or without a knee
+    drive."""
     servo = None if inputs.missing & 1 else state_of(inputs.servo_status)
     return servo, None if inputs.missing & 2 or not exchange.knee_driven else state_of(inputs.knee_status)
 
 
 def _word(state: State | None, goal: State, sent: int) -> int:
-    """The next controlword; a fault reset is an edge, so zero goes before it; the last one while nothing is known."""
+    """Return the next controlword: zero before a fault reset, which acts on an edge; the last one while the state is
+    unknown."""
     if state is None:
         return max(sent, 0)
     word = next_controlword(state, goal)
@@ -96,7 +98,8 @@ def _word(state: State | None, goal: State, sent: int) -> int:
 
 
 def _where(exchange: Exchange, states: tuple[State | None, State | None]) -> tuple[float, float]:
-    """Actual positions for drives that are off, the last target for those that hold it."""
+    """Return the targets that move nothing: actual positions for drives that are off, the last targets for those that
+    hold."""
     inputs, (servo, knee) = exchange.inputs, exchange.targets
     if states[0] is not State.OPERATION_ENABLED and not inputs.missing & 1:
         servo = inputs.servo_position_m
@@ -136,7 +139,7 @@ def quick_stop(exchange: Exchange) -> None:
 
 
 def release(exchange: Exchange, knee_too: bool = False) -> None:
-    """The servo's torque off at once; the knee drive holds its target, unless its torque goes too."""
+    """Take the servo's torque off at once; the knee drive holds its target, unless its torque is taken, too."""
     exchange.command(0x0000, 0x0000 if knee_too else _OPERATE)
 
 

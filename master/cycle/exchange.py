@@ -260,7 +260,7 @@ class Exchange:
             self._note_doubled(message, i)
 
     def hear(self, message: can.Message, sync_ns: int, missing: int) -> int:
-        """Take a TPDO that a SYNC has latched; the bits of `missing` that are missing after it."""
+        """Store a TPDO that a SYNC has latched; return the bits of `missing` that are still missing."""
         can_id = message.arbitration_id
         if can_id in self._observers:
             self._observe(message)
@@ -271,14 +271,15 @@ class Exchange:
         return missing
 
     def repeats(self, sync_ns: int) -> bool:
-        """Whether a SYNC comes within half a period of the last one: that one is doubled, and no new cycle."""
+        """Return whether a SYNC comes within half a period of the last one: it is doubled, and begins no cycle."""
         if self.inputs.sync_ns < 0 or sync_ns - self.inputs.sync_ns > self.wire.period_ns // 2:
             return False
         self.note_repeated(sync_ns)
         return True
 
     def note_repeated(self, sync_ns: int) -> None:
-        """Note a SYNC that comes too soon, unless one is overdue: a busy computer sends it late, then the next."""
+        """Report a SYNC that comes too soon, unless one is overdue: a busy computer sends it late, and the next one in
+        time."""
         self._doubled_sync = True
         if self._overdue_ns > self.wire.period_ns // 2:
             self._overdue_ns -= self.wire.period_ns
@@ -286,7 +287,8 @@ class Exchange:
             self.link.watch.doubled(sync_ns, self._count, "SYNC")
 
     def _note_doubled(self, message: can.Message, i: int) -> None:
-        """An input that came twice in a cycle, where SYNC did not and none is overdue; at the beginning any may be."""
+        """Report an input that arrived twice with one SYNC, unless a late input is overdue or the exchange is only
+        beginning."""
         if self._overdue_inputs[i]:
             self._overdue_inputs[i] -= 1
         elif self.link.watch is not None and not (self._doubled_sync or self.guard.beginning):
@@ -294,7 +296,7 @@ class Exchange:
             self.link.watch.doubled(stamp_ns(message), self._count, f"the inputs of {name}")
 
     def _take(self, message: can.Message, sync_ns: int) -> int:
-        """Keep a TPDO as latched by `sync_ns`; return its bit, or 0 if it is short, invalid or impossible."""
+        """Store a TPDO as latched by `sync_ns`; return its bit, or 0 if it is short, invalid or impossible."""
         i, size = self._slots[message.arbitration_id]
         if len(message.data) != size:
             self._tell_length(i, len(message.data), size, stamp_ns(message))
@@ -310,7 +312,8 @@ class Exchange:
         return 1 << i
 
     def _keep_all(self, sync_ns: int, frames: Any) -> int:
-        """Keep the TPDOs of all places, as `eds.pdo_plan.Joined` takes them; the bits of those that are not taken."""
+        """Store the TPDOs of all places, as `eds.pdo_plan.Joined` reads them; return the bits of those that were
+        refused."""
         ends, values = self._unpack_all(frames)
         servo, knee, start, end = values
         if (start[0] > self._no_value[2] and end[0] > self._no_value[3] and not self.rehoming
@@ -390,7 +393,8 @@ class Exchange:
         return self.inputs
 
     def _collect(self, sync_ns: int, missing: int = 0) -> int:
-        """Receive the missing PDOs (0: all) of one SYNC until its deadline; the bits of those that have not come."""
+        """Receive the missing PDOs (0: all) of one SYNC until its deadline; return the bits of those that did not
+        arrive."""
         missing = missing or self.all
         deadline = sync_ns + self._budget_ns
         receive, slots = self.link.receive, self._slots
@@ -478,5 +482,5 @@ class Exchange:
 
 
 def _without_status(unpack: Callable[[bytes], tuple[float, ...]]) -> Callable[[bytes], tuple[float, ...]]:
-    """Return what reads an encoder's frame as a knee drive's: a statusword of 0 before the angle."""
+    """Return a decoder that reads an encoder's frame as a knee drive's, with a statusword of 0 before the angle."""
     return lambda data: (0, *unpack(data))

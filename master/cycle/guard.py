@@ -34,7 +34,8 @@ WATCH_NS = 10_000_000
 LIMITED_NS = 300_000_000
 """Time for which a drive may report that an internal limit holds it back (statusword bit 11)."""
 YIELDED_M = 2e-3
-"""By how much further a servo that its tension bound holds back may be from where its targets lead."""
+"""Additional distance, m, from the expected position that is permitted to a servo which its tension bound holds back.
+"""
 _CONSEQUENCES = (Emcy.RPDO_TIMEOUT, Emcy.GENERIC, Emcy.PDO_TOO_SHORT, Emcy.PDO_TOO_LONG)
 PATIENT = 5
 """Factor on the number of cycles a node may miss while the exchange begins: programs that just started stall."""
@@ -215,7 +216,7 @@ class Guard:
             raise first
 
     def heed_strangers(self) -> None:
-        """Raise `StopError` where somebody else on the bus is why nothing comes any more."""
+        """Raise `StopError` if a foreign command is the reason why SYNC or inputs are missing."""
         first = self._strangers()
         if first is not None and self.active:
             raise first

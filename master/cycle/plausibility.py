@@ -73,9 +73,8 @@ SLOW_M_S: Final = 5e-3
 TAUT_N: Final = 3.0
 SAME_FOR_S: Final = 0.012
 FROZEN, FROZEN_M = 3.0, 0.1e-3
-"""Frozen servo position: cycles at one value, and motion of the target meanwhile, m, from which another finding is
-explained.
-"""
+"""Frozen servo position: cycles at one value, and motion of the target meanwhile, m, from which it is the cause of
+another finding."""
 STILL_M, STILL_RAD = 0.3e-3, 1.5e-3
 PERSIST: Final = 2.0
 """Cycles in a row beyond a tolerance that make a finding: one alone is a disturbed frame.  In 500 healthy trials not
@@ -92,7 +91,7 @@ def _held(value: float, low: float, high: float) -> float:
 
 @njit(inline="always")
 def _compare(s: Any, relation: int, seen: float, expected: float, tolerance: float) -> None:
-    """Keep a relation's normalised residual; count the cycles in a row beyond it."""
+    """Store a relation's normalised residual; count the consecutive cycles beyond the tolerance."""
     ratio = (seen - expected) / tolerance
     s[RATIOS + relation] = ratio
     s[READINGS + 2 * relation], s[READINGS + 2 * relation + 1] = seen, expected
@@ -123,7 +122,7 @@ def _tracking(s: Any, g: Any, limited: float, target: float, knee_target: float,
 
 @njit(inline="always")
 def _standing(s: Any, relation: int, same: int, value: float, target: float, room: float) -> None:
-    """An encoder that repeats itself to the last bit while what it follows has gone on."""
+    """Compare the motion of the target with an encoder that repeats its value to the last bit."""
     if value != s[same + 2] or s[FRESH] <= 1.0:
         s[same], s[same + 2], s[same + 4] = 0.0, value, target
     s[same] += 1.0
@@ -216,7 +215,7 @@ def _slope(g: Any, force: float) -> float:
 
 @njit(inline="always")
 def _curve(g: Any, force: float) -> float:
-    """Stretch, m, at a mean tension; beyond what homing reached it goes on by its slope there."""
+    """Return the stretch, m, at a mean tension; beyond homing's range it is extrapolated by the slope there."""
     inside = _held(force, 0.0, g[TOP_N])
     return float(g[C0] + (g[C1] + g[C2] * inside) * inside + _slope(g, inside) * (force - inside))
 
@@ -269,7 +268,8 @@ def _stretch(s: Any, g: Any, middle: float, position: float, knee: float, start:
 
 @njit(inline="always")
 def _alone(s: Any, relation: int, other: int, before: float) -> None:
-    """The stretch against one tension counts where the other one agrees, or at `ALONE` times its tolerance."""
+    """Count a violation of the stretch by one tension if the other tension shows it, too, or from `ALONE` times the
+    tolerance."""
     size = abs(s[RATIOS + relation])
     agrees = s[RATIOS + relation] * s[RATIOS + other] > 0.0 and abs(s[RATIOS + other]) > AGREES
     s[COUNTS + relation] = before + 1.0 if size > 1.0 and (agrees or size > ALONE) else 0.0
@@ -277,7 +277,7 @@ def _alone(s: Any, relation: int, other: int, before: float) -> None:
 
 @njit(inline="always")
 def _still(s: Any, g: Any, start: float, end: float) -> None:
-    """A converter that is alive never repeats itself for long; what stands still while the other moves is stuck."""
+    """Detect a tension that repeats to the last bit while the other one changes: a working converter has noise."""
     if start != s[OLD_START]:
         s[SAME_START], s[AT_END] = 0.0, end
     if end != s[OLD_END]:
@@ -368,7 +368,7 @@ class Plausibility:
         g[TOP_N], g[WITH_END], g[WITH_KNEE] = 40.0, float(with_end), float(with_knee)
 
     def restart(self) -> None:
-        """Clear the memory of the cycle before: after a gap, another frame of reference or a change of mode."""
+        """Clear the memory of earlier cycles: after a gap, a change of the zero or of the mode."""
         self.s[FRESH] = self.s[FILLED] = 0.0
         self.s[COUNTS:COUNTS + RELATIONS] = 0.0
 
@@ -376,7 +376,7 @@ class Plausibility:
         self, limited: float, targets: tuple[float, float], position: float, force: float, knee: float, start: float,
         end: float,
     ) -> Implausibility | None:
-        """Compare one cycle; the finding where a relation has been broken for long enough."""
+        """Compare one cycle; return the finding once a relation has been violated for `PERSIST` cycles, else None."""
         relation = step(self.s, self.g, limited, targets[0], position, force, targets[1], knee, start, end)
         return None if relation < 0 else self.finding(relation)
 
@@ -404,7 +404,7 @@ class Plausibility:
         return beyond if beyond > FORCE_N else 0.0
 
     def doubt(self) -> Implausibility | None:
-        """The relation nearest to its tolerance, if it is beyond `DOUBT` of the tolerance."""
+        """Return the relation with the largest normalised residual if that exceeds `DOUBT`, else None."""
         ratios = np.abs(self.s[RATIOS:RATIOS + RELATIONS])
         worst = int(np.argmax(ratios))
         return self.finding(worst) if ratios[worst] > DOUBT else None
@@ -420,7 +420,8 @@ class Plausibility:
                               swing, fits, frozen)
 
     def learn(self, quadratic: float, linear: float) -> Learned:
-        """Take over what homing showed; `quadratic`, `linear`: the calibration's (10), the rope's own with it."""
+        """Use the results of homing from here on; `quadratic`, `linear`: coefficients of the calibration's (10), with
+        the rope's own stretch."""
         s, g = self.s, self.g
         force = _solved(s, NORMAL_FORCE, FORCE_TERMS)
         rows = max(1.0, s[FORCE_ROWS])
@@ -452,7 +453,7 @@ class Plausibility:
         self._zero_m = zero_m
 
     def shift(self, by_m: float) -> None:
-        """The drive reads `by_m` more from now on: homing has set its zero."""
+        """Shift the remembered positions by `by_m`: homing has set the drive's zero."""
         self.g[C0] += by_m
         self.restart()
 

@@ -24,7 +24,7 @@ POSITION_STEP_M: Final = 1e-3
 KNEE_REACH_RAD: Final = 3.2
 KNEE_STEP_RAD: Final = 0.03
 NEW: Final = [0, 0, 0, 0]
-"""Ages of values that were all accepted in the cycle before."""
+"""Ages of the last values, in cycles, if all of them were accepted in the cycle before."""
 
 
 class Bounds(NamedTuple):
@@ -39,7 +39,7 @@ class Bounds(NamedTuple):
 
 
 class Reception:
-    """Takes or refuses the decoded values of servo, knee, START and END (0 … 3), in that order."""
+    """Acceptance of the decoded values of servo, knee, START and END (0 … 3), in that order."""
 
     def __init__(self, period_s: float, limits: Limits) -> None:
         tension = Bounds(0, "N", -SPAN_N, SPAN_N, TENSION_STEP_N, TENSION_RATE_N_S * period_s)
@@ -55,9 +55,10 @@ class Reception:
         self._greatest = [b.step + b.rate for b in self.bounds]
 
     def takes_all(self, servo: float, knee: float, start: float, end: float) -> bool:
-        """Take one cycle's four values at once, in place of `begin` and `takes`; False, and nothing done, where not.
+        """Accept one cycle's four values in one call, in place of `begin` and `accepts`; False, and no change, if that
+        is impossible.
 
-        So it is where one was not taken the cycle before, or is not taken now: then they are asked for one by one.
+        That is so if a value of the last cycle or of this one is refused: the values are then accepted one by one.
         """
         a, b, c, d = self._last
         most = self._greatest

@@ -41,7 +41,8 @@ ENDING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "S
                       if hasattr(signal, name))
 """Operating-system signals that end a run by the safe stop."""
 ESTABLISHED, PATIENCE = 20, 400
-"""Cycles in a row that show the exchange to run, and after how many it is taken as it is."""
+"""Complete cycles in a row after which the exchange counts as established; largest number of cycles to wait for them.
+"""
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def run_safely(
 
 
 def _prepare(exchange: Running, described: WireLayout, limits: Limits) -> StopError | None:
-    """Bring the nodes up; where that fails no drive was enabled, and the bench of another master is let be."""
+    """Bring the nodes up. If that fails no drive was enabled; nothing is sent on the bus of another master."""
     link = exchange.link
     try:
         bringup.bring_up(link, described, exchange.log, drive_limits(described, limits))
@@ -117,7 +118,7 @@ def _prepare(exchange: Running, described: WireLayout, limits: Limits) -> StopEr
 
 
 def _attempt(exchange: Running, described: WireLayout, perform: Callable[[Any], None]) -> StopError | None:
-    """Run the cycle with `perform` in it, and stop safely whatever ends it: an error of the program does so, too."""
+    """Run the cycle with `perform` in it, and stop safely at its end, also after an error of the program."""
     try:
         _cycle(exchange, described, perform)
         return None
@@ -144,7 +145,7 @@ def _attempt(exchange: Running, described: WireLayout, perform: Callable[[Any], 
 
 
 def _text_of(error: Exception) -> str:
-    """One sentence of an error nobody expected: its kind, its text, and where it was raised."""
+    """Return a sentence about an unexpected error: its kind, its text, and where it was raised."""
     frame = error.__traceback__
     while frame is not None and frame.tb_next is not None:
         frame = frame.tb_next
@@ -173,7 +174,7 @@ def _cycle(exchange: Running, described: WireLayout, perform: Callable[[Any], No
 
 
 def _establish(exchange: Running) -> None:
-    """Hold, drives off, until the cycle has been whole `ESTABLISHED` times in a row; misses count from here on."""
+    """Run cycles with the drives off until `ESTABLISHED` cycles in a row were complete; misses count from here on."""
     whole = 0
     for guard in exchange.guards:
         guard.beginning = True

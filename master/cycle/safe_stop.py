@@ -143,7 +143,7 @@ def _finish(exchange: Running) -> None:
 
 
 def let_go(exchange: Running) -> None:
-    """Without a cycle: voltage off by the event-driven controlwords, as long as the bus takes them."""
+    """Disable the voltage by event-driven controlwords, without control cycles, as long as the bus accepts them."""
     link = exchange.link
     link.pump = link.receive
     try:

@@ -55,7 +55,8 @@ class PathExchange(Exchange):
             self._unpack[KNEE] = _mirrored(self._unpack[KNEE])
 
     def mirrored(self, angle_rad: float) -> float:
-        """Return the joint's angle of the path's, or the path's of the joint's."""
+        """Convert a knee angle, rad, between the counting of the joint and of the path; the conversion is its own
+        inverse."""
         return MIRROR_RAD - angle_rad if self.mirrors else angle_rad
 
     def advance(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None = None) -> Inputs:
@@ -289,7 +290,7 @@ def together(exchange: Running, works: Sequence[Work[T]]) -> list[T]:
 
 
 def _mirrored(unpack: Callable[[bytes], tuple[float, ...]]) -> Callable[[bytes], tuple[float, ...]]:
-    """Return what reads a knee drive's frame with the angle as an antagonist's path counts it."""
+    """Return a decoder of a knee drive's frame with the angle in the counting of an antagonist's path."""
     def read(data: bytes) -> tuple[float, ...]:
         status, angle = unpack(data)
         return status, MIRROR_RAD - angle

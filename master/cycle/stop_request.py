@@ -15,7 +15,7 @@ _asked = threading.Event()
 
 @contextmanager
 def armed() -> Iterator[Callable[[], None]]:
-    """Enter around a run; yields what any thread may call, as often as it likes, to ask for the safe stop."""
+    """Context of a run: yields a function by which any thread may request the safe stop."""
     _asked.clear()
     try:
         yield _asked.set

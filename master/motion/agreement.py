@@ -1,4 +1,4 @@
-"""Whether what homing finds is the bench that the calibration describes, and whether its sensors agree with each other.
+"""Comparison of homing's result with the calibration, and of the sensors with each other.
 
 The rule of this file: it looks once, at the slack rope after homing's pull and release, before anything faster moves;
 what disagrees is refused with both numbers.

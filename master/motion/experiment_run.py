@@ -42,7 +42,7 @@ from physics.terms import Term
 from trial.signals import Signal
 
 KNEE_SAMPLES = 400
-"""Points of a gait cycle at which a knee motion is held against the limits."""
+"""Points of a gait cycle at which a knee motion is compared with the limits."""
 
 
 @dataclass(frozen=True)
@@ -243,11 +243,12 @@ class Planned:
 
     @property
     def begin(self) -> int:
-        """First sample of the trial: the run-in, and before it the soft start, or a stride to find the phase in."""
+        """Number of the first sample of the trial: run-in, and before it the soft start, or a stride in which the phase
+        is found."""
         return self.first - (1 + len(self.rising) + self.experiment.walk.differs) * self.table.samples
 
     def control(self, table: GaitTable) -> Controller[Any]:
-        """The chosen controller over a gait table, on the day that homing found."""
+        """Return the chosen controller for a gait table, with the homing fit of the session."""
         day = self.homed.day if self.homed else HomingFit()
         conditions = Conditions(self.impedance, day, self.own, self.experiment.walk.migration)
         made = controller.with_effects(self.kind, self.calibration, table, conditions, self.undone[id(table)])
@@ -279,7 +280,7 @@ class Planned:
                           1.0 if undone is None else undone.home_gain)
 
     def watch(self, exchange: Exchange) -> None:
-        """Have the gait that comes next held against the desired force and against its own first cycles."""
+        """Start the comparison of the coming gait with the desired force and with its own first cycles."""
         wanted = self.experiment.reference
         exchange.guard.repetition = Repetition(wanted.peak_n, self.table.period_s, wanted.period_s,
                                                with_rope=exchange.knee_driven,
@@ -334,7 +335,8 @@ class Planned:
         return None if self.phase is None else lambda sample: 100.0 * (sample % samples) / samples
 
     def _led(self, late: int) -> Callable[[int], float] | None:
-        """The knee's target by sample if its motion departs from the reference, eased in by run-in, out by run-out."""
+        """Return the knee's target by sample if its motion departs from the reference, eased in and out; None
+        otherwise."""
         motion, table, strides = self.experiment.motion, self.table, self.strides
         if strides is not None:
             return lambda sample: strides.at(sample - late + TARGET_CYCLES)[0]

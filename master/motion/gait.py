@@ -38,7 +38,7 @@ HURRY = 5.0
 
 
 class Cycle(Protocol):
-    """Needs of a gait from the running cycle: `cycle.Exchange` implements it, and so does a recording
+    """Interface of the running cycle that a gait needs: `cycle.Exchange` implements it, and so does a recording
     (`replay_controller`)."""
 
     inputs: Inputs
@@ -49,7 +49,7 @@ class Cycle(Protocol):
 
 
 def sampled(reference: Reference, samples: int) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], ...]:
-    """Knee angle (rad) and desired force (N) of one gait cycle, by sample."""
+    """Return knee angle (rad) and desired force (N) of one gait cycle, by sample."""
     wanted = [reference.at(i / samples) for i in range(samples)]
     return np.array([w.knee_angle_rad for w in wanted]), np.array([w.force_n for w in wanted])
 
@@ -62,7 +62,7 @@ def sampled_by_knee(surface: ForceSurface | None, samples: int) -> ForceSurface 
 
 
 def resting_sample(gait: GaitTable, first: int, last: int) -> int:
-    """The sample in [first, last) at which the knee is slowest: where a run from rest may begin or end."""
+    """Return the sample in [first, last) at which the knee is slowest: a run from rest may begin or end there."""
     knee = np.array(gait.knee)
     speed = np.abs(np.roll(knee, -1) - np.roll(knee, 1))
     return first + int(np.argmin(speed[first:last]))

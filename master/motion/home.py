@@ -28,7 +28,7 @@ from physics.calibration import Calibration
 SLACK_N = 1.0
 REST_S = 0.2
 AROUND = 0.2
-"""The crossing is a straight line through START readings within this share of the preload."""
+"""Share of the preload around it within which START readings determine the crossing, by a straight line."""
 HOLD_GAIN_M_S_N, HOLD_FILTER_S = 3e-3, 5e-3
 """Rope speed per newton that START lacks while the knee swings: 2 Hz at 20 N, stable against a stuck rope."""
 BRISK = 4.0
@@ -43,7 +43,7 @@ LOOP: Final = 2.25
 
 
 LIFT: Final = 1.125
-"""START while homing over the peak of the desired force: what friction lets END feel of it is below that peak."""
+"""Ratio of START while homing to the peak of the desired force: END then stays below that peak, by friction."""
 
 
 def within(homing: Homing, calibration: Calibration, peak_n: float) -> tuple[Homing, Calibration]:
@@ -213,7 +213,7 @@ def _into(rows: list[Row]) -> Callable[[Inputs], None]:
 
 
 def crossing(rows: list[Row], preload_n: float) -> float:
-    """Rope position, m, of the straight line through (START, position) near the preload, at the preload."""
+    """Return the rope position, m, at the preload, of the straight line through (START, position) near it."""
     table = np.array([row[:2] for row in rows if abs(row[0] - preload_n) <= AROUND * preload_n])
     if len(table) < 3:
         raise BringUpError(f"homing: START was near {preload_n:g} N in {len(table)} cycles only; home more slowly.")

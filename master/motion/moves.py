@@ -25,7 +25,7 @@ PEAK_TO_MEAN = 1.5
 
 
 def smooth(share: float) -> float:
-    """The smooth step 3u² − 2u³ of 0…1."""
+    """Return the smooth step 3u² − 2u³ of u, 0…1."""
     return share * share * (3.0 - 2.0 * share)
 
 

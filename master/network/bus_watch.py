@@ -37,10 +37,10 @@ STREAM: Final = 500
 """Foreign frames within a second that count as a babbler: half of the cycles of 1 kHz, ten times a monitor's SDO
 requests."""
 DOUBLED: Final = 3
-"""Cycles with a doubled SYNC or input within the last `DOUBLED_WITHIN` from which on it is no chance."""
+"""Cycles with a doubled SYNC or input within the last `DOUBLED_WITHIN` that show another sender."""
 DOUBLED_WITHIN: Final = 20
 RETURNED: Final = 64
-"""Frames sent last among which a returned one is looked for: more than a burst of a bring-up."""
+"""Number of the last sent frames with which a returned frame is compared: more than a burst of a bring-up."""
 EXTENDED: Final = 1 << 29
 """Key of all extended identifiers in `BusWatch.counts`: beyond the largest of them, so that their counts are one."""
 _WRITES: Final = {0: "a segment of an SDO write", 1: "an SDO write", 6: "an SDO block write", 4: "an SDO abort"}
@@ -90,7 +90,7 @@ class BusWatch:
             self.own[can_id] = data
 
     def hear(self, message: can.Message, paced: bool) -> None:
-        """Look at one frame; `paced`: the master sends SYNC itself, so that none is ever heard."""
+        """Classify one received frame; `paced`: the master sends SYNC itself, and never receives it."""
         can_id = message.arbitration_id
         if can_id in self._quiet and not (message.is_extended_id or message.is_remote_frame):
             return
@@ -122,7 +122,7 @@ class BusWatch:
         return (can_id, data) in self._returned
 
     def doubled(self, time_ns: int, cycle: int, what: str) -> None:
-        """Note a SYNC or an input that came twice in a cycle: an event, and a stop where it goes on."""
+        """Report a SYNC or an input that came twice in a cycle: an event, and a stop if it repeats."""
         if self._doubled and self._doubled[-1] == cycle:
             return
         self._doubled.append(cycle)
@@ -138,8 +138,8 @@ class BusWatch:
             self._tell(time_ns, can_id, f"{what} ({can_id:X}h) from another master", moves=True)
 
     def _described(self, can_id: int, data: bytes) -> tuple[str, bool, str]:
-        """Return the meaning of a frame in words, whether it can move anything, and its kind: "" for the text itself.
-        """
+        """Return a frame's meaning in words, whether it can move anything, and the kind that is logged once ("": the
+        words)."""
         if can_id == NMT_COB_ID:
             command = _DIRECTIONS.get(data[0], f"{data[0]:02X}h") if data else "empty"
             node = data[1] if len(data) > 1 else 0
@@ -187,6 +187,6 @@ def _shown(can_id: int) -> str:
 
 
 def stamp_ns(message: can.Message) -> int:
-    """Time stamp of a message, ns: exact where the bus gives `time_ns`, else its float seconds rounded."""
+    """Return the time stamp of a message, ns: exact if the bus gives `time_ns`, else its float seconds rounded."""
     exact: int | None = getattr(message, "time_ns", None)
     return round(message.timestamp * NS) if exact is None else exact

@@ -1,4 +1,4 @@
-"""State and errors of the CAN controller, as its error frames report them: what becomes an event of the trial."""
+"""State and errors of the CAN controller from its error frames, as events of the trial."""
 
 from __future__ import annotations
 

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Final
 
 PRIORITY: Final = 80
-"""Above everything but the kernel's own threads that carry the interrupts of the CAN controller."""
+"""SCHED_FIFO priority of the cycle's thread: above everything but the kernel's own threads that carry the interrupts of
+the CAN controller."""
 SWITCH_S: Final = 100e-6
 """Longest time that another thread of this process may hold the interpreter when the cycle needs it."""
 ISOLATED: Final = Path("/sys/devices/system/cpu/isolated")
@@ -32,7 +33,7 @@ PERMIT: Final = "sudo setcap cap_sys_nice,cap_ipc_lock=ep"
 
 @contextmanager
 def prepared() -> Iterator[list[str]]:
-    """Make the calling thread ready for a cycle in wall time; yields what could not be had, a sentence each."""
+    """Prepare the calling thread for a cycle in wall time; yields the requests that were refused, one sentence each."""
     refused: list[str] = []
     with ExitStack() as stack:
         stack.enter_context(collector_frozen())
@@ -47,7 +48,7 @@ def prepared() -> Iterator[list[str]]:
 
 @contextmanager
 def collector_frozen() -> Iterator[None]:
-    """No garbage collection in the cycle: everything made so far is left alone until the end."""
+    """Disable garbage collection in the context; objects that exist are exempt until its end."""
     enabled = gc.isenabled()
     gc.collect()
     gc.freeze()
@@ -67,7 +68,8 @@ def _interpreter() -> Callable[[], object]:
 
 
 def _pages() -> Callable[[], object]:
-    """No huge pages: the daemon that makes them locks the address space, for long where the cycle outranks it."""
+    """Disable transparent huge pages; return how to undo it. Their daemon locks the address space, for long if the
+    cycle has a higher priority."""
     libc = ctypes.CDLL(None, use_errno=True)
     libc.prctl(_PR_SET_THP_DISABLE, 1, 0, 0, 0)
     return lambda: libc.prctl(_PR_SET_THP_DISABLE, 0, 0, 0, 0)
@@ -81,7 +83,7 @@ def _scheduling() -> Callable[[], object]:
 
 
 def _memory() -> Callable[[], object]:
-    """Lock touched memory pages; no page is touched in advance."""
+    """Lock touched memory pages; return how to undo it. No page is touched in advance."""
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT_FUTURE_ONFAULT):
         code = ctypes.get_errno()
@@ -90,7 +92,7 @@ def _memory() -> Callable[[], object]:
 
 
 def _affinity() -> Callable[[], object]:
-    """Bind the cycle to a processor that the kernel keeps free (isolcpus), if one exists."""
+    """Bind the cycle to a processor that the kernel keeps free (isolcpus), if one exists; return how to undo it."""
     before = os.sched_getaffinity(0)
     isolated = processors(ISOLATED.read_text(encoding="ascii")) if ISOLATED.exists() else set()
     if isolated:

@@ -115,7 +115,7 @@ class KernelCycles:
                              heartbeats=beats, frames=bus.row_bytes[:frames.ROW_BYTES * count], frame_count=count)
 
     def _forgotten(self) -> bool:
-        """Forget what woke cycles that were received singly; False where the socket failed."""
+        """Drain stale wake-ups of cycles that were received frame by frame; return False if the socket failed."""
         self._behind = False
         try:
             while True:

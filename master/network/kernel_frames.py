@@ -145,12 +145,11 @@ def mark(block: Any, count: int, marked_id: int, told: Any) -> None:
 
 @njit(cache=True)
 def heed(slots: Any, headers: Any, count: int, inputs: Any, sizes: Any, told: Any) -> int:
-    """Process the frames of a cycle after its targets: this computer's SYNC, then each input once; heartbeats at any
-    time.
+    """Process the frames of a cycle after its targets: this computer's SYNC, each input once, heartbeats at any time.
 
-    Frames that the socket itself has sent are passed over. `inputs` and `sizes` are the inputs' identifiers, each
-    with its node's number in the last seven bits, and least sizes; only these nodes' heartbeats are accepted. `told`
-    goes on from the call before.
+    Frames that the socket itself has sent are passed over. `inputs` and `sizes` are the inputs' identifiers, each with
+    its node's number in the last seven bits, and least sizes; only these nodes' heartbeats are accepted. `told` goes on
+    from the call before.
     """
     for n in range(count):
         raw = np.int64(slots[n, 0] & np.uint64(0xFFFFFFFF))
@@ -223,7 +222,7 @@ def now(c: Any) -> Any:
 
 @njit
 def woken(c: Any, timeout_ns: int) -> Any:
-    """Return the identifier that woke within so long, 0 where none did, −1 where the socket failed."""
+    """Wait for a frame at the trigger socket; return its identifier, 0 after `timeout_ns`, −1 if the socket failed."""
     if timeout_ns <= 0:
         return 0
     c[POLL], c[SPEC], c[SPEC + 1] = c[TRIGGER] | _POLLIN, timeout_ns // NS, timeout_ns % NS
@@ -237,7 +236,7 @@ def woken(c: Any, timeout_ns: int) -> Any:
 
 @njit
 def fetch(c: Any, headers: Any) -> Any:
-    """Take what waits at the socket into its memory; return how many frames, −1 where the socket failed."""
+    """Read the waiting frames of the socket into memory; return their number, −1 if the socket failed."""
     for n in range(len(headers)):
         headers[n, 1], headers[n, 5], headers[n, 6], headers[n, 7] = 0, ANCILLARY, 0, 0
     count = _recvmmsg(np.int32(c[MAIN]), headers.ctypes.data, len(headers), np.int32(DONT_WAIT), 0)
@@ -249,10 +248,10 @@ def fetch(c: Any, headers: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def cycle(c: Any, memory: Any, block: Any) -> int:
-    """Send the targets, wait for the last input of the next SYNC, take every frame up to it: as rows, and as inputs.
+    """Send the targets and read every frame up to the last input of the next SYNC, as rows and as inputs.
 
-    The heartbeat goes behind the targets where it is due; one that finds the queue full is left to the next cycle.
-    `c`: `NUMBERS`; `memory`: `MEMORY`, of the socket; `block`: rows, as `rows` goes on with them.
+    The heartbeat follows the targets if it is due; if the queue is full it is left to the next cycle. `c`: `NUMBERS`;
+    `memory`: `MEMORY`, of the socket; `block`: rows, continued as in `rows`.
     """
     headers, slots = memory[:SLOTS].reshape(BATCH, HEADER), memory[SLOTS:KNOWN].reshape(BATCH, SLOT)
     heard = memory[KNOWN:].view(np.int64)

@@ -217,12 +217,12 @@ class Link:
             pass
 
     def _notice_return(self, message: can.Message) -> None:
-        """Learn, before the bus is watched, that the interface returns the master's own frames."""
+        """Detect during bring-up that the interface returns the master's own frames."""
         if message.is_rx and (message.arbitration_id, bytes(message.data)) == self._last_sent:
             self.returned, self._last_sent = True, None
 
     def listen(self, duration_ns: int) -> Iterator[can.Message]:
-        """Every data frame for a while, without a word sent, not even a heartbeat."""
+        """Return every data frame of the next `duration_ns`; nothing is sent, not even a heartbeat."""
         deadline = self.clock() + duration_ns
         if self._heartbeat_ns is not None:
             self._beat_due_ns = self._due_ns = NEVER  # on a busy bus the last look is after the deadline
@@ -238,7 +238,8 @@ class Link:
         self.responses.pop(can_id, None)
 
     def await_response(self, can_id: int, timeout_ns: int) -> bytes | None:
-        """Data of an SDO response, or None after `timeout_ns`; `pump` keeps whatever else runs running."""
+        """Return the data of an SDO response, or None after `timeout_ns`; `pump` continues the other services
+        meanwhile."""
         deadline = self.clock() + timeout_ns
         while can_id not in self.responses:
             if self.clock() >= deadline:

@@ -36,7 +36,7 @@ class RecordedBus(KernelBus):
         self.told: Any = memoryview(cast(Any, self.numbers))
 
     def fetch(self) -> int:
-        """Take what waits into memory and into the rows, at most `BATCH` frames; returns how many."""
+        """Read the waiting frames into memory and rows, at most `BATCH`; return their number."""
         count = super().fetch()
         if self.told[frames.TAKEN] + count > len(self.block_rows):
             self._make_room(2 * len(self.block_rows))
@@ -44,9 +44,10 @@ class RecordedBus(KernelBus):
         return count
 
     def block(self, marked_id: int) -> tuple[Any, int, int, int]:
-        """Every frame up to now: bytes of `cdr.FRAME_ROW`s, their number, time stamps of the last and of `marked_id`.
+        """Return every frame up to now: bytes of `cdr.FRAME_ROW`s, their number, time stamps of the last and of
+        `marked_id`.
 
-        A time stamp is −1 where there was no such frame yet.  The bytes hold until the next call.
+        A time stamp is −1 where there was no such frame yet. The bytes hold until the next call.
         """
         frames.to_front(self.block_rows, self.numbers)
         count = frames.BATCH

@@ -27,12 +27,12 @@ from master.network.kernel_frames import BATCH, HEADER, KNOWN, SLOT, SLOTS
 
 NS: Final = 1_000_000_000
 RECEIVE_BUFFER: Final = 8 << 20
-"""Bytes that are asked for; the kernel charges about 770 for a waiting frame, so a second of a full bus fits."""
+"""Requested size of the receive queue, bytes: a second of a full bus, at about 770 bytes for each waiting frame."""
 
 _SO_RCVBUFFORCE, _SO_RXQ_OVFL = 33, 40
 _EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
 _NOW: Final = int(socket.MSG_DONTWAIT)
-"""A plain integer: an operation on `socket.MsgFlag` costs more than all else that is done with a frame."""
+"""`MSG_DONTWAIT` as a plain integer: an operation on `socket.MsgFlag` costs more than all other work per frame."""
 _EAGAIN: Final = 11
 _FRAME = struct.Struct("=IB3x8s")
 _SLOT = struct.Struct("=IB3x8s16xqq16xI76x")
@@ -138,7 +138,7 @@ class KernelBus(SocketcanBus):
                 timeout = max(0.0, until - time.monotonic())
 
     def keep(self, count: int) -> None:
-        """Let the frames that were fetched wait to be received, as messages, but for those that this socket sent."""
+        """Keep the fetched frames for `recv`, as messages, without those that this socket sent."""
         for frame in self._frames(count):
             self.waiting.append(self._message(*frame))
 
@@ -156,7 +156,8 @@ class KernelBus(SocketcanBus):
         return 0
 
     def _frames(self, count: int) -> Iterator[tuple[int, int, bytes, int, bool]]:
-        """Others' frames of those taken: identifier with the kernel's flags, size, 8 bytes, time stamp, from here."""
+        """Yield the fetched frames of other senders: identifier with the kernel's flags, size, 8 bytes, time stamp,
+        whether from this computer."""
         ends = _HEADER_END.iter_unpack(self._headers[:count * _HEADER.size])
         for can_id, size, payload, seconds, nanoseconds, lost in _SLOT.iter_unpack(self._slots[:count * _SLOT.size]):
             told, flags = next(ends)
