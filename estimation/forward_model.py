@@ -33,9 +33,8 @@ class ForwardModel(ABC):
     that the reference trials do not have.  `extrapolated`: constants of equations that motion and load enter, whose
     session deviation grows so, as that of the judged outputs' discrepancy does.
 
-    `shape_shares`: shares of an effect by which its equation may differ from the bench's, in effects of `extrapolated`
-    constants.  `session_shares`: 1σ of a further change of the discrepancy, relative to it.  The evidence is averaged
-    over both (`diagnosis.evidence.shape_family`).
+    `session_shares`: 1σ of a further change of the discrepancy between sessions, relative to it, over which the
+    evidence is averaged (`diagnosis.evidence.session_change`).
 
     `nats_factor`: detection threshold relative to the bench's.  `unlike_share`: largest error on the reference trials,
     relative to the spread of the first judged output; above it they are of another rig.  `amounts`: for a constant
@@ -55,7 +54,6 @@ class ForwardModel(ABC):
     session_share: float
     unseen: float = 0.0
     extrapolated: Sequence[str] = ()
-    shape_shares: Sequence[float] = (0.0,)
     session_shares: Sequence[float] = (0.0,)
     nats_factor: float = 1.0
     unlike_share: float

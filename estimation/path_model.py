@@ -45,8 +45,6 @@ class PathModel(ForwardModel):
     unseen = 7.0
     """Without it, a gait of a higher peak than the only reference trial's gets a name (`evidence_calibration`)."""
     extrapolated = force_path.NAMES
-    shape_shares = (0.0, 0.1)
-    """As `posterior.SURROGATE`; with 0.2 a healthy trial of a rig of another structure reaches 12.7 nats."""
     session_shares = (0.0, 0.7, 1.4)
     unlike_share = 0.2
     amounts: Mapping[str, tuple[str, float]] = {"creep_time": ("creep_compliance", 1.5e-5)}

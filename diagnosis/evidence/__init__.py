@@ -4,7 +4,7 @@
 
 An effect adds prior variance along directions of the constants (`physics.effects.hypotheses`).  Modules, lowest first.
 
-    shape_family           evidence averaged over shapes of an effect
+    session_change         evidence averaged over a further change of the discrepancy
     hypothesis_search      hypotheses about one trial
     decision               verdict
     held_out               errors on held-out cycles

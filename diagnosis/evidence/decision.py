@@ -14,11 +14,12 @@ from statistics import NormalDist
 from typing import Final
 
 import numpy as np
+from scipy.linalg import cho_solve
 
 from diagnosis.evidence.hypothesis_search import Searched, search_null, search_pairs
-from diagnosis.evidence.shape_family import residual, shape_columns
 from estimation.posterior import HUBER, SURROGATE, Observed, PosteriorMode, own_error, screened
 from physics.effects.hypotheses import Variant
+from physics.laws import Array
 
 NAMED_NATS: Final = 12.0
 """Least log Bayes factor, nats, of a named effect.
@@ -146,11 +147,11 @@ def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:
 def misfits(found: Searched, at: PosteriorMode, variants: Sequence[Variant] = ()) -> dict[str, float]:
     """Return the mean squared residual over its variance by output, and `session` as defined in `Decision`.
 
-    `variants`: effects of the mode, whose shape is fitted, too.  Residuals are clipped at `HUBER` σ, so that outliers
-    count little.
+    `variants`: effects of the mode, whose equations may be inexact.  Residuals are clipped at `HUBER` σ, so that
+    outliers count little.
     """
     observed = found.observed
-    left = residual(at, shape_columns(observed, found.prior, at, variants), observed.model.shape_shares)
+    left = _left(at, [SURROGATE * own_error(at, observed, found.prior, variant) for variant in variants])
     squares = left**2 * observed.weight / observed.growth
     told = {}
     for k, name in enumerate(observed.outputs):
@@ -158,6 +159,20 @@ def misfits(found: Searched, at: PosteriorMode, variants: Sequence[Variant] = ()
         told[name] = float(np.mean(np.minimum(own, HUBER**2)))
     cost = at.cost / (observed.count * observed.cost * float(observed.growth.mean()))
     return told | {"session": min(cost, at.strain())}
+
+
+def _left(at: PosteriorMode, errors: Sequence[Array]) -> Array:
+    """Return the residual of a mode after Gaussian `errors` of the data, columns of 1σ, are fitted, too.
+
+    The mode's own residual is exact; only the change by the errors is linear.
+    """
+    if not errors:
+        return at.residual
+    error, off = np.concatenate(errors, axis=1), at.x - at.prior_mean
+    light = at.weight[:, None] * np.concatenate([(at.residual + at.design @ off)[:, None], error], axis=1)
+    applied = light - at.weight[:, None] * (at.inward @ cho_solve(at.inner, at.inward.T @ light))
+    size = np.linalg.solve(np.eye(error.shape[1]) + error.T @ applied[:, 1:], error.T @ applied[:, 0])
+    return np.asarray(at.residual + at.inward @ (at.inward.T @ (applied[:, 1:] @ size)) - error @ size)
 
 
 def lacking(misfit: Mapping[str, float], before: Mapping[str, float] | None = None) -> tuple[str, ...]:

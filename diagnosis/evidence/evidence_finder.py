@@ -15,7 +15,7 @@ from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
 from diagnosis.evidence.hypothesis_search import Searched, search
 from diagnosis.evidence.identical_motion import paired
-from diagnosis.evidence.shape_family import feature_sd
+from diagnosis.evidence.session_change import feature_sd
 from diagnosis.findings import Findings
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel, predicted

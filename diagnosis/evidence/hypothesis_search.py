@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.evidence.shape_family import averaged
+from diagnosis.evidence.session_change import averaged
 from estimation.posterior import CLOSE, Gaussian, Observed, PosteriorMode, begun, mode, screened
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
@@ -67,11 +67,11 @@ def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = (), am
     """Fit the null and the effects that the screen ranks first, and restart the fits from each other's modes.
 
     The null starts at the prior's mean and at `starts`, departures of constants and feature weights from the origin.
-    `amplitude`: 1σ of each feature's weight between benches; without it, no evidence is averaged over shapes.
+    `amplitude`: 1σ of each feature's weight between benches; without it, no evidence is averaged over amplitudes.
     """
     null = max((mode(observed, prior, start=at) for at in (None, *starts)), key=lambda m: m.log_evidence)
     found = Searched(observed, prior, amplitude, null)
-    found.null = _averaged(found, null, [])
+    found.null = _averaged(found, null)
     offered = hypotheses(observed, observed.model.constants.named(prior.origin))
     # at the reference constants no constant has taken up an effect
     _screen(found, offered, mode(observed, prior, descends=False), FOREMOST // 2)
@@ -140,20 +140,19 @@ def _screen(found: Searched, offered: Mapping[str, tuple[Variant, ...]], base: P
 
 
 def _fit(found: Searched, variants: list[Variant], start: Array) -> PosteriorMode | None:
-    """Return the mode with the effects `variants`, with its evidence averaged over shapes; None if it is singular."""
+    """Return the mode with the effects `variants`, with its averaged evidence; None if it is singular."""
     try:
-        fitted = _averaged(found, mode(found.observed, found.prior, variants, start), variants)
+        fitted = _averaged(found, mode(found.observed, found.prior, variants, start))
     except (np.linalg.LinAlgError, ValueError):
         return None
     return fitted if np.isfinite(fitted.log_evidence) else None
 
 
-def _averaged(found: Searched, at: PosteriorMode, variants: Sequence[Variant]) -> PosteriorMode:
-    """Return a mode with its evidence averaged over shapes and over the amplitude of the session's discrepancy."""
+def _averaged(found: Searched, at: PosteriorMode) -> PosteriorMode:
+    """Return a mode with its evidence averaged over a further change of the discrepancy between sessions."""
     if found.amplitude is None:
         return at
-    return replace(at, log_evidence=averaged(found.observed, found.prior, at, variants, found.amplitude,
-                                             found.null if variants else None))
+    return replace(at, log_evidence=averaged(at, found.amplitude, found.observed.model.session_shares))
 
 
 def _keep(found: Searched, name: str, variant: Variant, fitted: PosteriorMode | None) -> bool:

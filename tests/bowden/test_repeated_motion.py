@@ -39,6 +39,11 @@ def test_rope_and_knee_move_as_they_did_and_the_controller_replays(ran: Path, bo
     assert np.ptp(good.columns["tension_start_n"][walked[0]] - again.columns["tension_start_n"][walked[1]]) > 3.0
     status, out, err = bowden("replay", ran / "again.mcap", "--onto", "controller", "--json")
     assert (status, json.loads(out)["differing"]) == (0, {}), err
+    status, out, err = bowden("diagnose", ran / "again.mcap", "--healthy", ran / "good.mcap", "--json")
+    assert status == 0, err
+    told = json.loads(out)
+    assert "cable_friction" in told["rivals"]
+    assert any("good.mcap has the motion of the trial: only their difference" in said for said in told["warnings"])
 
 
 @pytest.mark.parametrize(("words", "said"), [

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnosis.evidence import shape_family
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.identical_motion import paired
+from diagnosis.evidence.session_change import averaged, feature_sd
 from estimation.data.table import Table, table
 from estimation.path_model import PATH_MODEL
 from estimation.posterior import mode
 from estimation.reference_fit import ReferenceFit
-from physics.effects.hypotheses import HYPOTHESES
 from tests.hidden.family import Job, case
 
 BENCH = Job(39, (), 9)
@@ -73,23 +72,23 @@ def test_an_effect_is_named_from_the_difference_and_a_repeat_names_nothing(
     assert any("has the motion of the trial" in warning for warning in changed.warnings)
 
 
-@pytest.mark.exhaustive
-def test_an_effect_without_shape_has_the_evidence_of_its_mode(
+def test_a_further_change_of_the_discrepancy_is_averaged_as_in_the_datas_own_covariance(
     bench: tuple[EvidenceFinder, ReferenceFit, Table]
 ) -> None:
-    """Readings have exact equations; shapes cost at most ln(number of shapes) where the data do not need them."""
     finder, fit, other = bench
     observed = fit.observe(finder.model.record(other))
-    prior, sd = fit.prior_of(observed), shape_family.feature_sd(fit)
-    constants = finder.model.constants.named(fit.bench_coordinates())
-    for name, free in (("end_gain", False), ("cable_friction", True)):
-        (variant,) = HYPOTHESES[name].variants(constants)
-        at = mode(observed, prior, [variant])
-        columns = shape_family.shape_columns(observed, prior, at, [variant])
-        assert bool(columns.shape[1]) == free
-        family = len(PATH_MODEL.session_shares) * (len(PATH_MODEL.shape_shares) if free else 1)
-        told = shape_family.averaged(observed, prior, at, [variant], sd)
-        assert told >= at.log_evidence - np.log(family) - 1e-9
-        # without columns the residual is that of the mode, up to the last step of a descent that ends at 0.15 nats
-        left = shape_family.residual(at, columns[:, :0], (0.0,))
-        assert np.std(left - at.residual) < 0.05 * np.std(at.residual)
+    prior, sd = fit.prior_of(observed), feature_sd(fit)
+    at = mode(observed, prior, descends=False)
+    counted = at.weight > 0.0
+    design, noise = at.design[counted], np.diag(1.0 / at.weight[counted])
+    error = (at.residual + at.design @ (at.x - at.prior_mean))[counted]
+    wide = observed.features[counted] * sd
+
+    def nats(share: float) -> float:
+        covariance = noise + design @ prior.covariance @ design.T + share**2 * wide @ wide.T
+        return -0.5 * float(error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(covariance)[1])
+
+    assert averaged(at, sd, (0.0,)) == pytest.approx(at.log_evidence, abs=1e-9)
+    assert averaged(at, sd, (1.4,)) - at.log_evidence == pytest.approx(nats(1.4) - nats(0.0), rel=1e-3)
+    both = np.logaddexp(averaged(at, sd, (0.0,)), averaged(at, sd, (1.4,))) - np.log(2.0)
+    assert averaged(at, sd, (0.0, 1.4)) == pytest.approx(both, abs=1e-9)

@@ -33,8 +33,8 @@ def told() -> list[Answer]:
     return [answer(job, judged=False) for job in QUICK]
 
 
-@pytest.mark.parametrize("job", [Job(7856, (), 2), Job(7985, (), 7), Job(7991, (), 9)])
-def test_shapes_of_a_session_name_nothing_on_a_bench_in_the_reference_condition(job: Job) -> None:
+@pytest.mark.parametrize("job", [Job(7856, (), 2), Job(7985, (), 7), Job(8174, (), 8)])
+def test_a_session_far_from_its_reference_trials_is_no_effect(job: Job) -> None:
     assert answer(job, judged=False).rivals == ()
 
 

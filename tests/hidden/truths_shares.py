@@ -3,8 +3,7 @@
     python -m tests.hidden.truths_shares [--first SEED] [--singles N] [--structures truth1,truth2]
 
 D: the rig's clean response, C: covariance of the data under the model without an effect, E: slopes of the hypothesis.
-Prints D'D in sensor noise, D'C⁻¹D, and the largest D'C⁻¹E(E'C⁻¹E)⁻¹E'C⁻¹D / D'C⁻¹D over the variants, without and with
-the shapes of the effect (E and E times each feature of the states).
+Prints D'D in sensor noise, D'C⁻¹D, and the largest D'C⁻¹E(E'C⁻¹E)⁻¹E'C⁻¹D / D'C⁻¹D over the variants.
 """
 
 from __future__ import annotations
@@ -33,7 +32,6 @@ class Share(NamedTuple):
     in_noise: float
     visible: float
     along: float
-    with_shapes: float
 
 
 def share(asked: Question) -> Share:
@@ -50,9 +48,7 @@ def share(asked: Question) -> Share:
     bench = finder.model.constants.named(fit.bench_coordinates())
     slopes = [response(null, observed, variant)[0] for variant in hypotheses(observed, bench)[asked.effects[0]]]
     along = [_along(null, each, clean) for each in slopes]
-    shaped = [_along(null, np.concatenate([each, *(column[:, None] * observed.features for column in each.T)], axis=1),
-                     clean) for each in slopes]
-    return Share(float(np.sum((clean / noise) ** 2)), float(visible), max(along) / visible, max(shaped) / visible)
+    return Share(float(np.sum((clean / noise) ** 2)), float(visible), max(along) / visible)
 
 
 def clean_data(made: Drawn) -> Array:
@@ -87,8 +83,7 @@ def main(arguments: list[str]) -> None:
             for asked in truths.questions(structure, given.first, given.singles, 0):
                 found = share(asked)
                 print(f"{structure} {asked.seed} {asked.effects[0]}: χ² {found.in_noise:.0f} in sensor noise, "
-                      f"{found.visible:.0f} visible; along {found.along:.2f}, with shapes {found.with_shapes:.2f}",
-                      flush=True)
+                      f"{found.visible:.0f} visible; along {found.along:.2f}", flush=True)
 
 
 if __name__ == "__main__":
