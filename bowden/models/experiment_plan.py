@@ -122,7 +122,7 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
     from diagnosis.evidence.experiment_prediction import predicted_experiments
     from diagnosis.evidence.hypothesis_search import search
     from diagnosis.evidence.identical_motion import REPEAT, paired
-    from diagnosis.evidence.shape_family import feature_sd
+    from diagnosis.evidence.session_change import feature_sd
     from estimation.path_model import PATH_MODEL
     from estimation.reference_fit import fit_reference
 
