@@ -15,6 +15,7 @@ y: measured outputs of a trial, m: its measured motion.  Modules, lowest first:
     reference_fit          joint fit of the reference trials
     population_reference   reference condition without reference trials
     stored_fit             reference posterior as bytes
+    fitted_quantities      quantities that follow from a fit's constants, with their 1σ
     linear_sums            sums of linearised trials: constants, discrepancy, effects
     running_evidence       evidence of effects by gait cycle, while a trial runs
     sessions               sessions of a bench over months: scatter, a step or a ramp of an effect

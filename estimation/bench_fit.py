@@ -20,9 +20,11 @@ from threadpoolctl import threadpool_limits
 from estimation import rig_fit, simulation, simulation_fit
 from estimation.data import integrity, table
 from estimation.data.table import Table
+from estimation.fitted_quantities import quantities
 from estimation.path_model import PATH_MODEL, can_be_of_bench, is_of_bench
+from estimation.reference_fit import ReferenceFit
 from estimation.rig_fit import Constant
-from estimation.simulation_fit import IdentifiedBench, identified
+from estimation.simulation_fit import identified
 from estimation.transfer import trial_calibration
 from parameters import InputError
 from physics.bench_model import BenchModel, of_calibration
@@ -105,20 +107,22 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
     usable = [integrity.usable(t) for t in given]
     usable = [t if lowpass is None else table.low_passed(t, lowpass) for t in usable]
     tables, pulls = oriented([table.with_locked_knee(t) for t in usable])
-    whole: list[IdentifiedBench] = []
+    whole: list[ReferenceFit | None] = []
 
     def unlike() -> str:
-        whole.append(identified(tables))
-        return whole[0].unlike
+        fit, why = identified(tables)
+        whole.append(fit)
+        return why
 
     if not is_of_bench(given, unlike):
         return _rig(usable, given, findings)
     if not whole and (why := _lacking(tables) or unlike()):
         raise InputError(f"a gait, but no rope that a tension stretches over a knee: {why}")
     first, rest = _parts(tables)
-    early = identified(first)
-    unseen = {} if early.unlike else _unseen(rest, simulation_fit.fitted(first, early))
+    early, _ = identified(first)
+    unseen = {} if early is None else _unseen(rest, simulation_fit.fitted(first, early))
     bench = whole[0]
+    assert bench is not None
     values = simulation_fit.fitted(tables, bench)
     constants = _constants(values, bench)
     known = of_calibration(_calibration(tables, bench))
@@ -128,8 +132,8 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
         known, fitted={"trials": [Path(t.source).name for t in given], "pulls": pulls, **figures},
         simulation={n: c.value for n, c in constants.items()},
         simulation_evidence={n: ScalarEvidence(c.low, c.high) for n, c in constants.items() if c.determined})
-    unstable = [bench.warning] if bench.warning else []
-    return FittedBench(model, constants, unseen, warnings=(*(f.text for f in findings), *unstable))
+    return FittedBench(model, constants, unseen, warnings=tuple(filter(None, (
+        *(f.text for f in findings), bench.warning()))))
 
 
 def _lacking(tables: Sequence[Table]) -> str:
@@ -137,15 +141,11 @@ def _lacking(tables: Sequence[Table]) -> str:
     return next((f"{t.source}: no rope position, or no START." for t in tables if PATH_MODEL.lacking(t)), "")
 
 
-def calibrated(trials: Sequence[Table]) -> Calibration:
-    """Return the calibration that `fit` would find, without a fit of the simulation; trials of a bench, as recorded."""
-    with threadpool_limits(1, user_api="blas"):
-        bench = identified(trials)
-        return _calibration(trials, bench)
-
-
-def _calibration(trials: Sequence[Table], bench: IdentifiedBench) -> Calibration:
-    return trial_calibration.calibrated(trials, bench.scalars, bench.scalar_sigma, bench.values["end_offset"])
+def _calibration(trials: Sequence[Table], bench: ReferenceFit) -> Calibration:
+    found = quantities(bench, trial_calibration.scalars_of)
+    return trial_calibration.calibrated(
+        trials, {n: q.value for n, q in found.items()}, {n: q.sd for n, q in found.items() if q.determined},
+        bench.model.constants.named(bench.bench_coordinates())["end_offset"])
 
 
 def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
@@ -207,17 +207,17 @@ def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:
     return figures
 
 
-def _constants(values: Values, found: IdentifiedBench) -> dict[str, Constant]:
+def _constants(values: Values, bench: ReferenceFit) -> dict[str, Constant]:
     """Return each constant with its 95 % interval, within the bounds of its row of the parameter table.
 
     The difference between the two models' estimates counts as 1σ of model error.
     """
     constants = {}
-    for name, sigma in found.sigma.items():
+    for name, found in simulation_fit.parameters_of(bench).items():
         stated = ESTIMATED[name]
-        half = 1.96 * math.hypot(sigma, values[name] - found.values[name])
+        half = 1.96 * math.hypot(found.sd, values[name] - found.value)
         value, low, high = (min(max(values[name] + side * half, stated.low), stated.high) for side in (0.0, -1.0, 1.0))
-        constants[name] = Constant(value, low, high, stated.unit, rig_fit.determined(sigma, found.prior_sigma[name]))
+        constants[name] = Constant(value, low, high, stated.unit, found.determined)
     return constants | {n: Constant(values[n], values[n], values[n], ESTIMATED[n].unit, False)
                         for n in FIXED}
 

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimation.data.table import Table
+from estimation.fitted_quantities import quantities
 from estimation.reference_fit import ReferenceFit, fit_reference
 from estimation.rig_model import RigModel, rig_model_of
 from parameters import InputError
-from physics.effects.hypotheses import Read
 from physics.laws import Array
 from physics.parameters import ESTIMATED
 
@@ -81,42 +81,15 @@ def _fitted(tables: Sequence[Table]) -> tuple[RigModel, ReferenceFit]:
     return model, fit_reference(model, sessions)
 
 
-def determined(sigma: float, prior_sigma: float) -> bool:
-    """Return whether trials hold more information on a constant than its prior: 1/σ² − 1/σ₀² > 1/σ₀²."""
-    return 0.0 < 2.0 * sigma**2 < prior_sigma**2
-
-
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
 def _constants(model: RigModel, fitted: ReferenceFit) -> dict[str, Constant]:
     """Return the constants that the trials determine, each with an interval inside the bounds of its table."""
-    free = list(model.constants.free)
-    q = fitted.bench_coordinates()
-    posterior = fitted.bench.covariance[:len(free), :len(free)]
     found = {}
-    for name, read in model.stated().items():
-        value, slopes = _linearised(model, read, q)
-        sd, before = (float(np.sqrt(slopes @ c @ slopes)) for c in (
-            posterior, np.diag(model.constants.bench_sd[free] ** 2)))
-        if not determined(sd, before):
-            continue
-        (low, high), unit = ESTIMATED[name].rig_bounds, model.rig.unit(ESTIMATED[name].unit)
-        value, least, most = (min(max(each, low), high) for each in (value, value - 1.96 * sd, value + 1.96 * sd))
-        found[name] = Constant(value, least, most, unit, True)
+    for name, own in quantities(fitted, lambda v: {n: read(v, v) for n, read in model.stated().items()}, 1.0).items():
+        if own.determined:
+            (low, high), unit = ESTIMATED[name].rig_bounds, model.rig.unit(ESTIMATED[name].unit)
+            found[name] = Constant(*(min(max(each, low), high) for each in (own.value, *own.interval())), unit, True)
     return found
-
-
-def _linearised(model: RigModel, read: Read, q: Array) -> tuple[float, Array]:
-    """Return a parameter's value at coordinates `q` and its slopes by the free constants."""
-    def at(coordinates: Array) -> float:
-        named = model.constants.named(coordinates)
-        return read(named, named)
-
-    steps = []
-    for i in model.constants.free:
-        moved = q.copy()
-        moved[i] += model.constants.step[i]
-        steps.append((at(moved) - at(q)) / model.constants.step[i])
-    return at(q), np.array(steps)

@@ -7,8 +7,7 @@ starting from these parameters.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -16,11 +15,10 @@ from scipy.optimize import least_squares
 
 from estimation import simulation
 from estimation.data.table import Table
+from estimation.fitted_quantities import Quantity, quantities
 from estimation.likelihood_data import LOWPASS_HZ
 from estimation.path_model import PATH_MODEL
 from estimation.reference_fit import ReferenceFit, fit_reference
-from estimation.rig_fit import determined
-from estimation.transfer.trial_calibration import scalars_of
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
 from physics.laws import Array
@@ -43,84 +41,32 @@ OWN: Final = {name: float(SESSION_SD[INDEX[row]]) for name, row in (
 """Parameters that deviate from trial to trial, with the published 1σ between sessions, SI."""
 
 
-@dataclass(frozen=True)
-class IdentifiedBench:
-    """Parameters of the simulation, SI, converted from a fitted force path.
-
-    `sigma` and `prior_sigma`: posterior and prior 1σ by parameter.  `scalars`: scalars of a calibration, and
-    `scalar_sigma`: posterior 1σ of those that the trials determine.  `warning`: sentence on another minimum of the fit
-    ("": none).  `unlike`: sentence on why the trials are not of a rope over a knee ("": they are).
-    """
-
-    values: Values
-    sigma: Values
-    prior_sigma: Values
-    unlike: str = ""
-    scalars: Values = dataclasses.field(default_factory=dict)
-    scalar_sigma: Values = dataclasses.field(default_factory=dict)
-    warning: str = ""
-
-
-def identified(trials: Sequence[Table]) -> IdentifiedBench:
-    """Fit the force path to reference trials of one bench and return it as parameters of the simulation."""
+def identified(trials: Sequence[Table]) -> tuple[ReferenceFit | None, str]:
+    """Fit the force path to reference trials of one bench; without a fit, why they are of no rope over a knee."""
     outputs = [n for n in PATH_MODEL.signals if all(n in t for t in trials)]
     recordings = [PATH_MODEL.record(dataclasses.replace(t, columns={
         n: v for n, v in t.columns.items() if n not in PATH_MODEL.signals or n in outputs})) for t in trials]
     try:
         fit = fit_reference(PATH_MODEL, recordings)
     except (ZeroDivisionError, np.linalg.LinAlgError):  # no rope has such constants
-        return IdentifiedBench({}, {}, {}, f"{trials[0].source}: no constants of the model predict the trials.")
+        return None, f"{trials[0].source}: no constants of the model predict the trials."
     unlike = fit.unlike(recordings[0], trials[0].source)
-    return IdentifiedBench({}, {}, {}, unlike) if unlike else dataclasses.replace(
-        identified_by(fit), warning=fit.warning())
+    return (None if unlike else fit), unlike
 
 
-def identified_by(fit: ReferenceFit) -> IdentifiedBench:
-    """Return a fitted force path as parameters of the simulation."""
-    names, free = _determined(fit.outputs), list(fit.model.constants.free)
-    size = len(free)
-    path = _path(fit, fit.bench.mean[:size])
-    values, scalars = simulation_values(path), scalars_of(path)
-    after, before = fit.bench.covariance[:size, :size], np.diag(fit.model.constants.bench_sd[free] ** 2)
-    prior = _sigma(fit, before, list(scalars), scalars_of)
-    return IdentifiedBench(values, _sigma(fit, after, names), _sigma(fit, before, names), "", scalars, {
-        name: sd for name, sd in _sigma(fit, after, list(scalars), scalars_of).items() if determined(sd, prior[name])})
+def parameters_of(fit: ReferenceFit) -> dict[str, Quantity]:
+    """Return the parameters of the simulation that the outputs of a fitted force path can determine, SI."""
+    every, found = [*REFITTED, *DIRECT, "cable_bend", "rope_per_knee_quadratic", "drive_presliding"], quantities(
+        fit, simulation_values)
+    return {n: found[n] for n in every if ("tension_end_n" in fit.outputs or not n.startswith("end_"))
+            and ("servo_force_n" in fit.outputs or not n.startswith(("drive_", "demand_")))}
 
 
 def bench_model_of(fit: ReferenceFit) -> BenchModel:
     """Return a fitted force path as a bench model: each determined parameter with its 95 % interval."""
-    bench = identified_by(fit)
-    return BenchModel({n: bench.values[n] for n in bench.sigma}, {
-        n: ScalarEvidence(bench.values[n] - 1.96 * sd, bench.values[n] + 1.96 * sd) for n, sd in bench.sigma.items()})
-
-
-def _path(fit: ReferenceFit, departure: Array) -> dict[str, float]:
-    q = fit.origin.copy()
-    q[list(fit.model.constants.free)] += departure
-    return fit.model.constants.named(q)
-
-
-def _determined(outputs: Sequence[str]) -> list[str]:
-    """Return the parameters of the simulation that the outputs can determine."""
-    every = [*REFITTED, *DIRECT, "cable_bend", "rope_per_knee_quadratic", "drive_presliding"]
-    return [n for n in dict.fromkeys(every) if ("tension_end_n" in outputs or not n.startswith("end_"))
-            and ("servo_force_n" in outputs or not n.startswith(("drive_", "demand_")))]
-
-
-def _sigma(fit: ReferenceFit, covariance: Array, names: Sequence[str],
-           convert: Callable[[Values], Values] = simulation_values) -> dict[str, float]:
-    """Return 1σ of each quantity that `convert` returns: √(gᵀΣg), g its gradient by the coordinates of the path."""
-    here = fit.bench.mean[:covariance.shape[0]]
-    base = convert(_path(fit, here))
-    step = 0.3 * fit.model.constants.session_sd[list(fit.model.constants.free)]
-    slopes = np.zeros((len(names), here.size))
-    for k, size in enumerate(step):
-        moved = here.copy()
-        moved[k] += size
-        values = convert(_path(fit, moved))
-        slopes[:, k] = [(values[n] - base[n]) / size for n in names]
-    variance = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)
-    return dict(zip(names, np.sqrt(np.maximum(variance, 0.0)).tolist(), strict=True))
+    found = parameters_of(fit)
+    return BenchModel({n: q.value for n, q in found.items()}, {
+        n: ScalarEvidence(*q.interval()) for n, q in found.items()})
 
 
 class _Simulated:
@@ -151,7 +97,7 @@ def _size(parameter: Parameter) -> float:
     return max(abs(parameter.nominal), 0.5 * (high - low))
 
 
-def fitted(trials: Sequence[Table], bench: IdentifiedBench, seconds: float = 6.0, steps: int = 10,
+def fitted(trials: Sequence[Table], fit: ReferenceFit, seconds: float = 6.0, steps: int = 10,
            difference: float = 0.6) -> dict[str, float]:
     """Fit the simulation to the first `seconds` of each trial, from the parameters of the fitted path.
 
@@ -159,11 +105,12 @@ def fitted(trials: Sequence[Table], bench: IdentifiedBench, seconds: float = 6.0
     widened by the `difference` between force path and simulation, relative to the size of each parameter.  1σ of a
     sample is 1 N.  Returns all parameters by name, SI.
     """
-    simulated = [_Simulated(t, seconds) for t in trials]
-    names = [n for n in REFITTED if n in bench.sigma]
-    width = np.array([np.hypot(bench.sigma[n], difference * _size(ESTIMATED[n])) for n in names])
+    simulated, known = [_Simulated(t, seconds) for t in trials], parameters_of(fit)
+    start_values = simulation_values(fit.model.constants.named(fit.bench_coordinates()))
+    names = [n for n in REFITTED if n in known]
+    width = np.array([np.hypot(known[n].sd, difference * _size(ESTIMATED[n])) for n in names])
     own = [(k, n) for k in range(len(trials)) for n in OWN if len(trials) > 1]
-    mean = np.concatenate([[bench.values[n] for n in names], np.zeros(len(own))])
+    mean = np.concatenate([[known[n].value for n in names], np.zeros(len(own))])
     scale = np.concatenate([width, [OWN[n] for _, n in own]])
     low = np.array([*(ESTIMATED[n].low for n in names), *(-5.0 * OWN[n] for _, n in own)])
     high = np.array([*(ESTIMATED[n].high for n in names), *(5.0 * OWN[n] for _, n in own)])
@@ -171,7 +118,7 @@ def fitted(trials: Sequence[Table], bench: IdentifiedBench, seconds: float = 6.0
     bounds = [10.0 + (edge - mean) / scale for edge in (low, high)]
 
     def values(x: Array, trial: int) -> dict[str, float]:
-        told = {**bench.values, **dict(zip(names, x[:len(names)].tolist(), strict=True))}
+        told = {**start_values, **dict(zip(names, x[:len(names)].tolist(), strict=True))}
         for (k, name), deviation in zip(own, x[len(names):], strict=True):
             if k == trial:
                 told[name] += float(deviation)
@@ -183,4 +130,4 @@ def fitted(trials: Sequence[Table], bench: IdentifiedBench, seconds: float = 6.0
 
     start = np.clip(np.full(mean.size, 10.0), bounds[0] + 1e-6, bounds[1] - 1e-6)
     x = mean + scale * (least_squares(residual, start, bounds=bounds, diff_step=3e-3, max_nfev=steps).x - 10.0)
-    return {**bench.values, **dict(zip(names, x[:len(names)].tolist(), strict=True))}
+    return {**start_values, **dict(zip(names, x[:len(names)].tolist(), strict=True))}
