@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, TypeVar
 
 from parameters import InputError
-from trial.assemble import TrialContent, write
 from trial.read import Trial, TrialFile
-from trial.signals import Signal, of_path
+from trial.signals import of_path
 
 T = TypeVar("T")
 File = TypeVar("File", bound=TrialFile)
@@ -29,9 +27,12 @@ def names(trial: TrialFile) -> tuple[str, ...]:
     return tuple(trial.metadata.get(PATHS, "").split())
 
 
-def one_path(trial: File, path: str) -> File:
-    """Return one force path of a trial as a trial; raises `InputError` for a path that it has not."""
+def one_path(trial: File, path: str | None) -> File:
+    """Return one force path of a trial of several as a trial; raises `InputError` for a path that it has not, or None.
+    """
     known = names(trial)
+    if path is None:
+        raise InputError(f"{trial.path}: records the force paths {', '.join(known)}; name one with --path.")
     refuse_unknown(str(trial.path), path, known)
     metadata = {key: text for key, text in _own(trial.metadata, path, known).items() if key != PATHS}
     result = None if trial.result is None else dict(trial.result)
@@ -62,11 +63,3 @@ def _own(given: Mapping[str, T], path: str, known: tuple[str, ...]) -> dict[str,
     prefixes = tuple(f"{name}." for name in known)
     common = {key: value for key, value in given.items() if not key.startswith(prefixes)}
     return common | {key.removeprefix(f"{path}."): value for key, value in given.items() if key.startswith(f"{path}.")}
-
-
-def write_path(found: Trial, target: Path) -> None:
-    """Write what `one_path` returned as a separate trial; raises `InputError`."""
-    signals = [Signal(name, found.units[name], "", name in found.derived) for name in found.columns]
-    events = [(event.time_ns, event.kind, event.source, event.text) for event in found.events]
-    write(target, TrialContent(found.time_ns, found.columns, found.frames, events, signals), metadata=found.metadata,
-          result=found.result or {}, attachments=found.attachments)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from bowden.trials.force_paths import single_paths
+from estimation.data import table
 from logbook.bench_state import BenchState, state_of
 from logbook.change_cause import Cause, enter_cause, outdated, trials_of
 from logbook.database import Logbook
@@ -55,10 +55,9 @@ def _diagnosed(book: Logbook, state: BenchState) -> Cause:
     from diagnosis.report.headline import headline
 
     given = trials_of(book, state.alarms[0], state.sessions, state.notes)
-    before, since = ([book.place(trial.path) for trial in trials] for trials in (given.references, given.trials))
-    path = book.path or None
-    with single_paths(before, path) as references, single_paths(since, path) as trials_since:
-        found = Finder(session_sd=state.scatter).examine(references).diagnose(trials_since)
+    before, since = ([table.read(book.place(trial.path), book.path or None) for trial in trials]
+                     for trials in (given.references, given.trials))
+    found = Finder(session_sd=state.scatter).examine(before).diagnose(since)
     named = found.verdict in ("found", "ambiguous")
     return Cause(found.verdict, tuple(found.rivals), found.part if named else None,
                  found.warnings[0] if found.verdict == "refused" else "", given.trials[0].session,

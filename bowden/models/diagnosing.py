@@ -58,7 +58,8 @@ class Diagnosis:
         given = several(trials)
         asked, unseen = ([table_of(trial, self._path) for trial in group] for group in (given, several(holdout)))
         paths = [Path(trial.path if isinstance(trial, Trial) else trial) for trial in given]
-        found = on_its_footing(self._finder.diagnose(asked, unseen, terms=terms), paths, measured=self._measured)
+        found = on_its_footing(self._finder.diagnose(asked, unseen, terms=terms), paths, self._path,
+                                measured=self._measured)
         return DiagnosisResult(found, asked, unseen, self.model)
 
 
@@ -127,17 +128,18 @@ class DiagnosisResult:
         return Path(path)
 
 
-def on_its_footing(found: Findings, trials: Sequence[Path], *, measured: bool) -> Findings:
+def on_its_footing(found: Findings, trials: Sequence[Path], path: str | None, *, measured: bool) -> Findings:
     """Return the findings; without a named cause if no data describe this bench without the fault.
 
-    This is so if every trial ran on the packaged calibration; `measured`: a calibration or reference trials were
-    given.
+    This is so if every trial ran on the packaged calibration; `path`: the force path of trials of several;
+    `measured`: a calibration or reference trials were given.
     """
+    from bowden.trials.force_paths import opened
     from estimation.data.table import NOMINAL
-    from trial.read import open_file
 
     measured = measured or not all(
-        path.suffix.lower() == ".mcap" and open_file(path).metadata.get("calibration") == NOMINAL for path in trials)
+        file.suffix.lower() == ".mcap" and opened(file, path).metadata.get("calibration") == NOMINAL
+        for file in trials)
     return found if measured or found.verdict == "refused" else found.unnamed()
 
 

@@ -58,15 +58,16 @@ class ExperimentPlan:
                 "by_hand": self.by_hand}
 
 
-def of_trials(trials: Sequence[Path], healthy: Sequence[Path], session_sd: Mapping[str, float] | None = None
-              ) -> ExperimentPlan:
-    """Plan for trials of one session against reference trials; raises `InputError`."""
+def of_trials(trials: Sequence[Path], healthy: Sequence[Path], session_sd: Mapping[str, float] | None = None,
+              path: str | None = None) -> ExperimentPlan:
+    """Plan for trials of one session against reference trials; `path`: the force path of several.  Raises `InputError`.
+    """
     from estimation.likelihood_data import MOTION
     from estimation.path_model import usable_table
 
     if not healthy:
         raise InputError("bowden plan: no reference trial; name at least one with --healthy, or a --logbook.")
-    given, known = ([usable_table(path, None, "record it", MOTION) for path in group] for group in (trials, healthy))
+    given, known = ([usable_table(file, path, "record it", MOTION) for file in group] for group in (trials, healthy))
     return _planned(given, known, session_sd)
 
 
@@ -74,24 +75,19 @@ def of_logbook(folder: Path) -> ExperimentPlan:
     """Plan for the change that `bowden logbook show` states; without one for the newest trial that a diagnosis left
     ambiguous, with the experiments of its session."""
     from bowden.models import change_diagnosis, logbook_entries
-    from bowden.trials.force_paths import single_paths
     from logbook.database import open_logbook
 
     healthy, deviations = logbook_entries.reference_trials(folder)
     with open_logbook(folder) as book:
         change = change_diagnosis.change_trials(book)
         if change is not None:
-            with single_paths(change.trials, book.path or None) as trials, single_paths(
-                    change.references, book.path or None) as references:
-                return of_trials(trials, references, change.session_sd)
+            return of_trials(change.trials, change.references, change.session_sd, book.path or None)
         for entry in book.trials():
             told = book.verdicts(entry.id)
             if told and told[-1].get("verdict") == "ambiguous":
                 same = [t for t in book.trials(session=entry.session)
                         if t.there and (t.id == entry.id or t.experiment not in ("", "gait"))]
-                with single_paths([book.place(t.path) for t in same], book.path or None) as trials, single_paths(
-                        healthy, book.path or None) as references:
-                    return of_trials(trials, references, deviations)
+                return of_trials([book.place(t.path) for t in same], healthy, deviations, book.path or None)
     raise InputError(f"{folder}: states no change, and no verdict of it is ambiguous; bowden diagnose TRIAL "
                      f"--logbook {folder} enters verdicts.")
 

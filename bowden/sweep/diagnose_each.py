@@ -38,7 +38,7 @@ def perform(trial: Path, given: Given) -> dict[str, Any]:
 
     began = time.perf_counter()
     try:
-        told = on_its_footing(_finder(given, _state(given)).diagnose([trial], given.holdout), [trial],
+        told = on_its_footing(_finder(given, _state(given)).diagnose([trial], given.holdout), [trial], None,
                               measured=bool(given.calibration or given.healthy))
     except InputError as error:
         told = Findings("refused", warnings=[str(error)], lowpass_hz=given.lowpass)

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bowden.bench.configuration import as_text
-from parameters import InputError
 
 if TYPE_CHECKING:
     from eds.bench.bench_network import Network
@@ -90,31 +87,4 @@ def opened(file: Path, path: str | None, *, whole: bool = False) -> TrialFile:
     from trial.paths import names, one_path
 
     found = read.open_file(file)
-    if path is not None:
-        return one_path(found, path)
-    if names(found) and not whole:
-        raise InputError(f"{file}: records the force paths {', '.join(names(found))}; name one with --path.")
-    return found
-
-
-@contextmanager
-def single_paths(trials: Sequence[Path], path: str | None) -> Iterator[list[Path]]:
-    """Yield trials of a single path: the files themselves, or with `path` that path of each, in a temporary folder.
-
-    Raises `InputError` for a trial of several paths where no path is named, and for a path that a trial has not.
-    """
-    from trial.paths import write_path
-    from trial.read import whole
-
-    with tempfile.TemporaryDirectory(prefix="bowden-") as folder:
-        found = []
-        for file in trials:
-            one = opened(file, path) if file.suffix.lower() == ".mcap" else None
-            if one is None or path is None:
-                found.append(file)
-                continue
-            target = Path(folder) / str(len(found)) / file_of(file, path).name
-            target.parent.mkdir()
-            write_path(whole(one), target)
-            found.append(target)
-        yield found
+    return one_path(found, path) if path is not None or (names(found) and not whole) else found

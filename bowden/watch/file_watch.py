@@ -13,11 +13,11 @@ from typing import Any, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from bowden.trials.force_paths import single_paths
 from bowden.watch.gait_windows import GaitWindow, GaitWindows
 from diagnosis.evidence.decision import SET_SHARE, threshold
 from diagnosis.finder import Finder
 from diagnosis.findings import Findings
+from estimation.data import table
 from estimation.data.table import Table
 from estimation.likelihood_data import SIGNALS, PathRecording
 from estimation.path_model import PATH_MODEL, usable_table
@@ -116,9 +116,9 @@ class FileWatch:
 
     def diagnosis(self) -> Findings:
         """Return the diagnosis of the whole file, as `bowden diagnose` gives it."""
-        path = self._bench.path
-        with single_paths(self._bench.healthy, path) as references, single_paths([self._file.path], path) as watched:
-            return Finder(session_sd=self._bench.session_sd).examine(references).diagnose(watched)
+        references, watched = ([table.read(file, self._bench.path) for file in files]
+                               for files in (self._bench.healthy, [self._file.path]))
+        return Finder(session_sd=self._bench.session_sd).examine(references).diagnose(watched)
 
     def _of(self, outputs: tuple[str, ...]) -> RunningEvidence:
         """Return the running evidence from these outputs; other outputs need another fit of the reference trials."""

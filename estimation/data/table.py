@@ -224,7 +224,7 @@ def _digest(columns: Mapping[str, Array]) -> str:
 
 def _read_mcap(path: Path, joint: str | None) -> Table:
     trial: TrialFile = open_file(path)
-    if joint is not None and paths.names(trial):  # the commands hand over a single path
+    if joint is not None or paths.names(trial):
         trial = paths.one_path(trial, joint)
     words = [name for name in ("servo_statusword", "knee_statusword") if name in trial.units]
     read = _columns(trial, [*(name for name in trial.units if name in UNITS or name.endswith(AGE_SUFFIX)), *words])

@@ -19,7 +19,7 @@ from bowden.cli.app import run
 from eds.declaration import packaged
 
 SHAPES: Final = ("bench", "bench_start_only", "bench_no_knee_drive", "bench_antagonists", "bench_two_legs")
-GAIT: Final = ("trial", "--config", "bench.toml", "--peak", "30", "--period", "1", "--cycles", "2", "--settle", "0")
+GAIT: Final = ("trial", "--config", "bench.toml", "--peak", "30", "--period", "1", "--cycles", "3", "--settle", "0")
 AGAIN: Final = ("--calibration", "own.toml")
 
 

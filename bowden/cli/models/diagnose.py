@@ -116,10 +116,9 @@ def diagnose(
     began = time.perf_counter()
     if path is not None and calibration is not None:
         calibration = force_paths.file_of(calibration, path)
-    with (force_paths.single_paths(chosen, path) as asked_of, force_paths.single_paths(healthy or [], path) as good,
-          force_paths.single_paths(holdout or [], path) as unseen, _steps(shown=not json) as step):
-        found = _diagnosed(asked_of, path, calibration, good, unseen, lowpass, output, report, tracked, step,
-                           figures, deviations, overwrite=overwrite, terms=terms)
+    with _steps(shown=not json) as step:
+        found = _diagnosed(chosen, path, calibration, healthy or [], holdout or [], lowpass, output, report, tracked,
+                           step, figures, deviations, overwrite=overwrite, terms=terms)
     result = found.as_json() | ({} if path is None else {"path": path}) | {"seconds": time.perf_counter() - began}
     if logbook is not None and found.verdict != "refused":
         from bowden.models import logbook_entries
@@ -252,7 +251,7 @@ def _diagnosed(
     finder = Finder(calibration, lowpass, deviations).examine(groups[1])
     step("fitting the effects, cycle by cycle", SEARCHING)
     found = finder.diagnose(groups[0], groups[2], terms=terms)
-    found = diagnosing.on_its_footing(found, trials, measured=bool(calibration or healthy))
+    found = diagnosing.on_its_footing(found, trials, path, measured=bool(calibration or healthy))
     step("writing", WRITING)
     if found.verdict == "refused":
         return found

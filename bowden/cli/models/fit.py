@@ -41,15 +41,15 @@ def fit(
     """
     from bowden import output_files
     from bowden.models.diagnosing import table_of
-    from bowden.trials import force_paths, session
+    from bowden.trials import session
     from estimation import bench_fit
     from parameters.files import write_whole
 
     session.refuse_no_logbook(logbook)
     output_files.refuse([output], overwrite=overwrite, inputs=trials)
     output_files.refuse_ending(output, ".toml", what="a bench model")
-    with terminal.waiting("fitting"), force_paths.single_paths(trials, path) as files:
-        found = bench_fit.fit([table_of(file, path) for file in files], lowpass)
+    with terminal.waiting("fitting"):
+        found = bench_fit.fit([table_of(file, path) for file in trials], lowpass)
     write_whole(output, found.text(), overwrite=True)
     if logbook is not None:
         from bowden.models import logbook_entries

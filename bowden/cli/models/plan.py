@@ -34,7 +34,6 @@ def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logb
     Example: bowden plan trial.mcap --healthy good.mcap
     """
     from bowden.models import experiment_plan, logbook_entries
-    from bowden.trials.force_paths import single_paths
 
     if model is not None and (trials or healthy or logbook or path):
         raise InputError("--model simulates its bench; leave trials, --healthy, --logbook and --path out.")
@@ -49,8 +48,7 @@ def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logb
             same = {path.resolve() for path in trials}
             path = path or (logbook_entries.path_of(logbook) if logbook else None)
             references = [p for p in known if p.resolve() not in same]
-            with single_paths(trials, path) as asked, single_paths(references, path) as good:
-                found = experiment_plan.of_trials(asked, good, deviations)
+            found = experiment_plan.of_trials(trials, references, deviations, path)
         else:
             assert logbook is not None
             found = experiment_plan.of_logbook(logbook)
