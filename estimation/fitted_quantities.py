@@ -12,7 +12,7 @@ from estimation.reference_fit import ReferenceFit
 Values = Mapping[str, float]
 
 
-class Quantity(NamedTuple):
+class FittedQuantity(NamedTuple):
     """Value of a quantity, its posterior 1σ `sd` and its prior 1σ."""
 
     value: float
@@ -29,7 +29,7 @@ class Quantity(NamedTuple):
         return self.value - 1.96 * self.sd, self.value + 1.96 * self.sd
 
 
-def quantities(fit: ReferenceFit, convert: Callable[[Values], Values], steps: float = 3.0) -> dict[str, Quantity]:
+def quantities(fit: ReferenceFit, convert: Callable[[Values], Values], steps: float = 3.0) -> dict[str, FittedQuantity]:
     """Return what `convert` makes of the constants of a fit, by name.
 
     1σ is √(gᵀΣg), g the gradient by the free coordinates, by differences over so many `steps` of the table.
@@ -45,5 +45,5 @@ def quantities(fit: ReferenceFit, convert: Callable[[Values], Values], steps: fl
         slopes[:, k] = [(values[name] - base[name]) / (steps * table.step[i]) for name in base]
     after, before = (np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, of, slopes), 0.0)).tolist() for of in (
         fit.bench.covariance[:len(free), :len(free)], np.diag(table.bench_sd[free] ** 2)))
-    return {name: Quantity(value, sd, prior) for (name, value), sd, prior in zip(base.items(), after, before,
+    return {name: FittedQuantity(value, sd, prior) for (name, value), sd, prior in zip(base.items(), after, before,
                                                                                  strict=True)}

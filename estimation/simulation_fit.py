@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from estimation import simulation
 from estimation.data.table import Table
-from estimation.fitted_quantities import Quantity, quantities
+from estimation.fitted_quantities import FittedQuantity, quantities
 from estimation.likelihood_data import LOWPASS_HZ
 from estimation.path_model import PATH_MODEL
 from estimation.reference_fit import ReferenceFit, fit_reference
@@ -54,7 +54,7 @@ def identified(trials: Sequence[Table]) -> tuple[ReferenceFit | None, str]:
     return (None if unlike else fit), unlike
 
 
-def parameters_of(fit: ReferenceFit) -> dict[str, Quantity]:
+def parameters_of(fit: ReferenceFit) -> dict[str, FittedQuantity]:
     """Return the parameters of the simulation that the outputs of a fitted force path can determine, SI."""
     every, found = [*REFITTED, *DIRECT, "cable_bend", "rope_per_knee_quadratic", "drive_presliding"], quantities(
         fit, simulation_values)
