@@ -33,7 +33,7 @@ class MasterFrame(NamedTuple):
 
 
 class OnWire(NamedTuple):
-    """A recorded frame and when its first bit was on the wire and its last, ns."""
+    """A recorded frame with the times of its first and last bit on the wire, ns."""
 
     start_ns: int
     end_ns: int
@@ -60,7 +60,8 @@ class RecordedNodes:
         self._serial = 0
 
     def _hang(self, frames: Sequence[OnWire]) -> dict[Hook, list[tuple[int, Frame]]]:
-        """Frames of the nodes by what they hang on, with the time from its end to their start."""
+        """Return the nodes' frames by the master's frame that they follow, with the time from its end to their start.
+        """
         counts: Counter[int] = Counter()
         began = frames[0].end_ns // SECOND_NS * SECOND_NS if frames else 0
         last: tuple[Hook, int] = (POWER_ON, 0), began

@@ -27,11 +27,11 @@ from physics.parameters import BY_PLANT, ESTIMATED, PARAMETERS, healthy
 from physics.terms import Term
 
 FITTED: Final = "fitted"
-"""The table that `bowden fit` writes beside the parameters: what its figures are."""
+"""Name of the TOML table with the trials and errors of a `bowden fit`."""
 RIG: Final = "rig"
-"""The table that `bowden fit` writes of a rig of another kind in place of parameters: nothing simulates it."""
+"""Name of the TOML table with the constants of a rig of another kind, which no simulation reads."""
 SIMULATION: Final = "simulation"
-"""The table of `bowden fit` of the parameters of the many-segment simulation, fitted to the same trials."""
+"""Name of the TOML table with the parameters of the many-segment simulation that `bowden fit` fitted to the trials."""
 TABLES: Final = ("version", "bench", "parameters", *OLDER_TABLES, end_discrepancy.TABLE, TABLE, EVIDENCE, FITTED, RIG,
                  SIMULATION, correlation.TABLE, setup_check.TABLE, terms.ARRAY)
 """Tables of a bench model; a plant model may hold tables of nominal values, too."""

@@ -26,7 +26,7 @@ NOMINAL = "nominal"
 PARAMETER_TABLE = "parameters"
 """Table of a bench model with the scalars of its calibration."""
 FLAT = 0.05
-"""Share of (10)'s linear term below which a slope is taken for flat."""
+"""Slope of the stretch below which it counts as flat, as a share of (10)'s linear coefficient."""
 LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous",
          "viscous_tension", "start_gain", "homed_friction", "homed_softness")
 """Scalars that a file of version 1 may lack; a missing one has its assumed value, with a remark."""
@@ -53,8 +53,7 @@ class ScalarEvidence:
         return self.low, self.high
 
     def again(self, value: float) -> tuple[float, float]:
-        """Return the interval in which `value` comes out again, by its repeatability; by its 95 % interval without
-        one."""
+        """Return the interval of a repeated identification about `value`: its repeatability, else its 95 % interval."""
         by = self.repeatability
         return (value - by, value + by) if math.isfinite(by) else (self.low, self.high)
 
@@ -108,32 +107,34 @@ class Calibration:
 
     @property
     def turning_point_n(self) -> float:
-        """Force at which (10) turns over and its inverse ends (88.2 N for the paper's numbers)."""
+        """Return the force, N, at which (10) turns over and its inverse ends (88.2 N for the paper's numbers)."""
         return -self.stiffness_b / (2 * self.stiffness_a) if self.stiffness_a < 0 else math.inf
 
     @property
     def limit_n(self) -> float:
-        """Force at which the whole stretch turns over: (10)'s own turning point where nothing departs from (10)."""
+        """Return the force, N, at which the whole stretch turns over: (10)'s own turning point if nothing departs from
+        (10)."""
         return self.turning_point_n if not self.stretch_short and not self.stretch_wide else stretch.limit_n(self, 0.0)
 
     @property
     def reach_n(self) -> float:
-        """Force beyond which the stretch is continued along its tangent: not identified, or almost flat."""
+        """Return the force, N, beyond which the stretch is continued along its tangent: not identified, or almost flat.
+        """
         return min(self.identified_to, stretch.limit_n(self, FLAT * self.stiffness_b))
 
 
 def scalars() -> tuple[str, ...]:
-    """Names of the scalars, in the order of the file."""
+    """Return the names of the scalars, in the order of the file."""
     return tuple(name for name, _, _ in declarations(Calibration))
 
 
 def neutral(name: str) -> float:
-    """Neutral value of a scalar, without any correction."""
+    """Return the neutral value of a scalar: without any correction."""
     return float(getattr(Calibration(), name))
 
 
 def nominal() -> Calibration:
-    """The packaged calibration: the paper's numbers and marked assumptions, belonging to no bench."""
+    """Return the packaged calibration: the paper's numbers and marked assumptions, belonging to no bench."""
     return Calibration()
 
 

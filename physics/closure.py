@@ -16,7 +16,8 @@ from physics.laws import Array
 CLOSED_PERCENT: Final = 10.0
 CYCLE_POINTS: Final = 1000
 _BENDING_WEIGHT: Final = 4.0
-"""%²: how much bending counts against departure where the seam's state is chosen (a balance, not a law)."""
+"""Weight of bending against departure, %²: a balance, not an equation. Larger: a smoother seam that departs further
+from the recording."""
 
 
 def _quintic(width: float, begin: Array, end: Array) -> Array:

@@ -29,7 +29,7 @@ def _on_knee(before: float, after: float) -> float:
 _ON_KNEE: Final = _on_knee(PARAMETERS["fabric_share_before"].nominal, PARAMETERS["fabric_share_after"].nominal)
 
 GAIN_PER_HZ: Final = PARAMETERS["servo_position_gain"].nominal / PARAMETERS["servo_bandwidth"].nominal
-"""1/s of the servo's position loop per Hz of its bandwidth, as on the nominal bench."""
+"""Gain of the servo's position loop, 1/s, per Hz of its bandwidth: that of the nominal bench."""
 
 MEASURED: Final = (
     Form("cable_exponent", ("mu1", "theta1"), lambda mu, theta: mu * theta),

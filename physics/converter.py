@@ -23,7 +23,7 @@ RING: Final = 1024
 
 @dataclass(frozen=True)
 class SensorParameters:
-    """HYLY-019 bridge and AD7192 converter; the last eight are what can be wrong with them."""
+    """Parameters of the HYLY-019 bridge and the AD7192 converter; the last eight are errors, neutral by default."""
 
     full_scale_n: float = declared("full_scale")
     cutoff_hz: float = declared("sensor_cutoff")
@@ -113,11 +113,11 @@ class Converter:
 
     @property
     def seed(self) -> int:
-        """The noise's seed."""
+        """Return the seed of the noise."""
         return int(self._seed)
 
     def adopt(self, state: Array, ring: Array, p: Array) -> None:
-        """Keep history and parameters in this memory from now on; shapes as `convert` takes them."""
+        """Move history and parameters into this memory; shapes as in `convert`."""
         state[:], ring[:], p[:] = self._state, self._ring, self._p
         self._state, self._ring, self._p = state, ring, p
 

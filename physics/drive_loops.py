@@ -18,7 +18,7 @@ from physics.laws import Array
 from physics.parameters import declared
 
 DRIVE_TICK_NS: Final = 250_000
-"""The period at which a drive runs its loops."""
+"""Period of a drive's control loops, ns."""
 
 
 class LoopSlots(NamedTuple):

@@ -38,14 +38,16 @@ LEAST_TRAVEL_M: Final = 5e-5
 KNEE_RAD: Final = 0.45
 """Knee flexion at which `fabric_knee` is 0: about the one at the peak of the desired force."""
 BEYOND: Final = 0.15
-"""Share of a seen range over which the discrepancy falls to zero outside of it."""
+"""Width of the transition beyond a range of the gait trials, as a share of the range: the discrepancy falls to zero in
+it."""
 
 
 class EndDiscrepancy(NamedTuple):
-    """Posterior of the discrepancy: mean and covariance of the features' coefficients, and the ranges seen.
+    """Posterior of the discrepancy: mean and covariance of the features' coefficients, and the ranges of the gait
+    trials.
 
-    `force_n`: END, N; `flexion_rad`: |knee angle|; `speed_m_s`: the fabric's largest speed on the rope's side.
-    `prior` and `residual`: standard deviations of the coefficients before the fit and of its residual.
+    `force_n`: END, N; `flexion_rad`: |knee angle|; `speed_m_s`: the fabric's largest speed on the rope's side. `prior`
+    and `residual`: standard deviations of the coefficients before the fit and of its residual.
     """
 
     mean: tuple[float, ...]
@@ -86,7 +88,7 @@ def features(force: float, knee: float, sheath: float, fabric: float, sheath_slo
 
 @njit(cache=True)
 def _outside(value: float, low: float, high: float) -> float:
-    """Return 1 within a seen range, 0 from `BEYOND` of it outside, a straight line between."""
+    """Return 1 within a range of the gait trials, 0 from `BEYOND` of it outside, linear between."""
     away = max(low - value, value - high, 0.0)
     return max(0.0, 1.0 - away / (BEYOND * (high - low) + 1e-12))
 

@@ -53,7 +53,8 @@ SLOW_S: Final = 1.0
 GREASE_N: Final = 10.0
 """Tension, N, at which half the viscous friction acts (`viscous_tension` of the parameter table)."""
 LIGHT: Final = 0.3
-"""Drag of the unloaded path, N·s/m: makes a slack rope's position unique; changes tensions by less than 0.1 N."""
+"""Viscous drag of the unloaded path, N·s/m: makes a slack rope's position unique; changes tensions by less than 0.1 N.
+"""
 SOFT_N: Final = 0.1
 """Half width, N, of the transition from slack to taut: below sensor noise."""
 SOFT: Final = 2e-3

@@ -79,7 +79,8 @@ class Path(NamedTuple):
 
 
 def law(calibration: Calibration, period_s: float, friction: float = 1.0, softness: float = 1.0) -> Law:
-    """The model of a calibration by samples of `period_s`, its friction and its stretch scaled to the day."""
+    """Return the model of a calibration for samples of `period_s`, its friction and its stretch scaled to the session.
+    """
     constant, quadratic, linear = coefficients(calibration)
     return Law(
         constant=constant,
@@ -109,7 +110,7 @@ def law(calibration: Calibration, period_s: float, friction: float = 1.0, softne
 
 @njit(cache=True)
 def elongation(law: Any, force: float) -> Any:
-    """(stretch of the fabric, m, its slope, m/N) at a tension, N, without the constant."""
+    """Return (stretch of the fabric, m, its slope, m/N) at a tension, N, without the constant."""
     quadratic, linear, short, wide, reach = law[1:6]
     at = min(force, reach)
     by_short, by_wide = math.exp(-at / SHORT_N), math.exp(-at / WIDE_N)
@@ -120,7 +121,8 @@ def elongation(law: Any, force: float) -> Any:
 
 @njit(cache=True)
 def tensed(law: Any, stretched: float, guess: float) -> float:
-    """Tension, N, of the fabric stretched by so much, m, by Newton from a guess; 0 where it is slack."""
+    """Return the tension, N, of the fabric at the stretch `stretched`, m, by Newton's method from a guess; 0 if it is
+    slack."""
     if stretched <= 0.0:
         return 0.0
     force = max(guess, 0.0)
@@ -135,9 +137,10 @@ def tensed(law: Any, stretched: float, guess: float) -> float:
 
 @njit(cache=True)
 def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
-    """One sample from END to START: (rope position m, START N, exponents of sheath and knee, slowness of both, slip).
+    """Return one sample from END to START: (rope position m, START N, exponents of sheath and knee, slowness of both,
+    slip).
 
-    `force` END, N; `knee` rad; `slip` a `Slip`, returned as a plain tuple.  ln((START − drag)/END) is the exponents'
+    `force` END, N; `knee` rad; `slip` a `Slip`, returned as a plain tuple. ln((START − drag)/END) is the exponents'
     sum.
     """
     (constant, _quadratic, _linear, _short, _wide, _reach, rope_compliance, share, cable_exponent, rope_travel,
@@ -264,7 +267,7 @@ def loss(law: Law, force: Array, knee: Array) -> tuple[Array, Array]:
 def end_from_start(
     law: Law, position: Array, start: Array, knee: Array
 ) -> tuple[Array, Array]:
-    """END tension, N, and rope position, m, that the model puts behind a measured START; slips begin at zero.
+    """Return END tension, N, and rope position, m, by the model for a measured START; slips begin at zero.
 
     `start` must be smooth: its noise would turn the friction over.
     """

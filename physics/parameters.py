@@ -76,17 +76,17 @@ class Parameter:
 
     @property
     def rig_bounds(self) -> Range:
-        """Bounds on rigs of any size."""
+        """Return the bounds on rigs of any size."""
         return self.any_rig or (self.low, self.high)
 
     @property
     def search_bounds(self) -> Range:
-        """Bounds of a fit on a bench like the nominal one."""
+        """Return the bounds of a fit on a bench like the nominal one."""
         return self.search or (self.low, self.high)
 
     @property
     def in_ideal(self) -> float:
-        """Value of the parameter in a rigid, frictionless transmission with true sensors."""
+        """Return the value in a rigid, frictionless transmission with true sensors."""
         return self.nominal if self.ideal is None else self.ideal
 
 
@@ -240,7 +240,7 @@ _PATH: Final = (
 def _sensor(
     side: str, any_offset: Range, gain: Mapping[str, Any], offset: Mapping[str, Any],
 ) -> tuple[Parameter, ...]:
-    """Rows of one tension sensor that the diagnosis states values of."""
+    """Return the rows of one tension sensor that a diagnosis estimates."""
     where = f"{side}_sensor"
     return (
         _P(f"{side}_gain", "", "gain", 1.0, 0.1, 3.0, "assumed: calibrated", plant=f"{where}.gain",

@@ -30,7 +30,8 @@ def presliding(s: float, travel: float, distance: float) -> float:
 
 @njit(inline="always")
 def presliding_step(s: float, travel: float) -> float:
-    """Return the same after a small `travel`, in units of δ, to first order: the simulation's; |s| ≤ 1 is kept."""
+    """Return the pre-sliding state after a small `travel`, in units of δ, to first order, as the simulation does; |s| ≤
+    1 is kept."""
     dz = min(1.0, max(-1.0, travel))
     return s + dz - s * abs(dz)
 

@@ -62,7 +62,7 @@ class RigColumns(NamedTuple):
 
     @property
     def moved(self) -> tuple[str, ...]:
-        """Return the links that the drive moves, each by the name of its joint, its own first."""
+        """Return the links that the drive moves, each by the name of its joint, the drive's own first."""
         return self.joints[self.joints.index(self.joint):]
 
     def unit(self, linear: str) -> str:

@@ -1,6 +1,6 @@
-"""Laws of wire and converter: how old a value is when it is read, and on which grid it sits.
+"""Staleness of values on the wire, and runs of equal values by a converter's quantisation step.
 
-The rule of this file: counts of cycles and probabilities, nothing of signals.  A value comes in its own cycle, or, with
+The rule of this file: counts of cycles and probabilities, nothing of signals. A value comes in its own cycle, or, with
 probability p, only `most` cycles later or never (`most` infinite); the newest that has come is read.
 """
 
@@ -17,14 +17,15 @@ COUNTED: Final = 24
 
 
 class Staleness(NamedTuple):
-    """A share of the values does not come in its own cycle; none that is read is older than `most` cycles."""
+    """Staleness of a signal: the share of values that miss their own cycle, and the largest age of a value, `most`
+    cycles."""
 
     share: float
     most: float
 
 
 def ages(stale: Staleness) -> Array:
-    """Return the chance of each age, 0…`COUNTED` cycles: P(age ≥ n) = pⁿ while n ≤ most, else 0."""
+    """Return the probability of each age, 0…`COUNTED` cycles: P(age ≥ n) = pⁿ while n ≤ most, else 0."""
     n = np.arange(COUNTED + 2)
     beyond = np.where(n <= stale.most, stale.share**n.astype(np.float64), 0.0)
     beyond[-1] = 0.0
@@ -32,7 +33,8 @@ def ages(stale: Staleness) -> Array:
 
 
 def repeats(stale: Staleness, chance: float) -> Array:
-    """Return the chance of each run of equal values, 0…`COUNTED`, where values repeat by `chance`, too.
+    """Return the probability of each run of equal values, 0…`COUNTED`; `chance`: that a fresh value equals the last
+    one.
 
     Once `most` is reached each cycle brings a newer value: P(run ≥ n) = pⁿ − p^(most+1).
     """

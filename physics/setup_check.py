@@ -1,7 +1,7 @@
 """Set-up check of a bench against independent measures: a known weight at each load cell, a goniometer at the knee.
 
-The comparisons of a trial hold signals against each other. A fault that is there from power-on and alike in all of
-them agrees with itself, and only a measure from outside shows it. The results stand in the calibration's file.
+The checks of a trial compare signals with each other. A fault that all of them have from power-on shows only against an
+independent measure. The results are in the calibration's file.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ class SetupCheck:
 
     @property
     def deviation(self) -> float:
-        """Reading minus reference."""
+        """Return reading minus reference, N or rad."""
         return self.reading - self.reference
 
     @property
     def tolerance(self) -> float:
-        """Largest absolute deviation that passes."""
+        """Return the largest absolute deviation that passes, N or rad."""
         return FORCE_N + FORCE_SHARE * abs(self.reference) if self.unit == "N" else ANGLE_RAD
 
     @property
     def passed(self) -> bool:
-        """Whether the deviation is within the tolerance; a reading that is no number is not."""
+        """Return whether the deviation is within the tolerance; a NaN is not."""
         return abs(self.deviation) <= self.tolerance
 
     def age_h(self, now: datetime.datetime) -> float:

@@ -13,18 +13,19 @@ import numpy as np
 
 SHORT_N: Final = 8.0
 WIDE_N: Final = 30.0
-"""Forces that the two saturating terms are scaled with, N."""
+"""Scale of the wider saturating term, N."""
 FITTED_N: Final = 60.0
-"""The parabola is nearest over 0…60 N: the range of (10), and below it."""
+"""Upper end, N, of the range in which the parabola nearest to a saturating term is fitted: that of (10), and below it.
+"""
 
 
 def saturating(force: Any, scale_n: float) -> Any:
-    """d·(1 − e^(−F/d)): a stretch whose slope fades over `scale_n`, N."""
+    """Return d·(1 − e^(−F/d)): a stretch whose slope fades over `scale_n`, N."""
     return -scale_n * np.expm1(-np.asarray(force) / scale_n)
 
 
 def _nearest(scale_n: float) -> tuple[float, float, float]:
-    """Coefficients, highest power first, of the parabola nearest to a saturating term."""
+    """Return the coefficients, highest power first, of the parabola nearest to a saturating term."""
     force = np.linspace(0.0, FITTED_N, 601)
     a, b, c = np.polyfit(force, saturating(force, scale_n), 2).tolist()
     return a, b, c
@@ -35,7 +36,7 @@ _WIDE: Final = _nearest(WIDE_N)
 
 
 def coefficients(of: Any) -> tuple[float, float, float]:
-    """(constant m, quadratic m/N², linear m/N) beside s1·8 N·(1 − e^(−F/8 N)) + s2·30 N·(1 − e^(−F/30 N))."""
+    """Return (constant m, quadratic m/N², linear m/N) beside s1·8 N·(1 − e^(−F/8 N)) + s2·30 N·(1 − e^(−F/30 N))."""
     short, wide = of.stretch_short, of.stretch_wide
     quadratic, linear, constant = (
         own - short * by_short - wide * by_wide
@@ -44,21 +45,21 @@ def coefficients(of: Any) -> tuple[float, float, float]:
 
 
 def position(of: Any, force: Any) -> Any:
-    """x(F), m, at a force, N; arrays welcome."""
+    """Return x(F), m, at a force, N; arrays are accepted."""
     constant, quadratic, linear = coefficients(of)
     return constant + (quadratic * force + linear) * force + of.stretch_short * saturating(
         force, SHORT_N) + of.stretch_wide * saturating(force, WIDE_N)
 
 
 def slope(of: Any, force: Any) -> Any:
-    """dx/dF, m/N, at a force, N."""
+    """Return dx/dF, m/N, at a force, N."""
     _, quadratic, linear = coefficients(of)
     return (2.0 * quadratic * force + linear + of.stretch_short * np.exp(-np.asarray(force) / SHORT_N)
             + of.stretch_wide * np.exp(-np.asarray(force) / WIDE_N))
 
 
 def limit_n(of: Any, least_m_n: float, highest_n: float = 300.0) -> float:
-    """Force, N, at which the slope falls to `least_m_n`, at most `highest_n`."""
+    """Return the force, N, at which the slope falls to `least_m_n`, at most `highest_n`."""
     force = np.linspace(0.0, highest_n, 3001)
     flat = np.flatnonzero(slope(of, force) <= least_m_n)
     return float(force[flat[0]]) if flat.size else highest_n

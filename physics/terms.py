@@ -21,7 +21,7 @@ from parameters import InputError
 from physics.laws import Array
 
 SPEED_M_S: Final = 5e-3
-"""Speed, m/s, at which the direction of motion counts as 0.76; the friction of a rope has turned over by then."""
+"""Speed, m/s, at which the direction of motion counts as tanh(1) = 0.76; a rope's friction has turned over by then."""
 TENSION_N: Final = 30.0
 """Tension, N, in whose units modulations by load are stated: the middle of a 40 to 60 N gait."""
 
@@ -140,7 +140,7 @@ class Carrier(NamedTuple):
 
     @property
     def relative(self) -> bool:
-        """Whether the coefficient multiplies the constant."""
+        """Return whether the coefficient multiplies the constant."""
         return self.unit == ""
 
 
@@ -162,12 +162,12 @@ class Term:
 
     @property
     def size(self) -> float:
-        """Amplitude of the modulation: the coefficient, or of two quadratures their hypotenuse."""
+        """Return the amplitude of the modulation: the coefficient, or of two quadratures their hypotenuse."""
         return self.coefficients[0] if len(self.coefficients) == 1 else math.hypot(*self.coefficients)
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of `size`; of two quadratures, by the mean of their half widths."""
+        """Return the 95 % interval of `size`; of two quadratures, by the mean of their half widths."""
         if len(self.coefficients) == 1:
             return self.intervals[0]
         half = 0.25 * sum(high - low for low, high in self.intervals)
@@ -175,7 +175,7 @@ class Term:
 
     @property
     def phase_rad(self) -> float | None:
-        """Phase of a sine, rad; None of other modulations."""
+        """Return the phase of a sine, rad; None of other modulations."""
         return None if len(self.coefficients) == 1 else math.atan2(self.coefficients[1], self.coefficients[0])
 
     def course(self, course: Course) -> Array:
@@ -190,7 +190,7 @@ class Term:
 
     @property
     def equation(self) -> str:
-        """The term in words with its numbers: "friction of the cable × (1 + 0.31 · sin(x/20 mm + 0.4))"."""
+        """Return the term in words with its numbers: "friction of the cable × (1 + 0.31 · sin(x/20 mm + 0.4))"."""
         shape = MODULATIONS[self.modulation].words.format(**{
             name: quantity(value, MODULATIONS[self.modulation].parameters[name])
             for name, value in self.parameters.items()})

@@ -59,13 +59,13 @@ from virtual_bus.wire.outages import wired
 PLANTS = "bowden.plants"
 OWN = {"bowden": "physics.plant:create"}
 GAUGES = {"start": ("start_sensor", START_FEELS), "end": ("end_sensor", END_FEELS)}
-"""Ends of a force path: the table of the load cell there, and the place of its tension in the plant's outputs."""
+"""Ends of a force path: table of the load cell there, and index of its tension in the plant's outputs."""
 GAINS = {"position_gain": key(0x60FB, 1), "position_integral": key(0x60FB, 2)}
 
 
 @dataclass(frozen=True)
 class Trim:
-    """The servo's position loop as its maker trimmed it; the integral gain goes with the proportional one."""
+    """Gain of the servo's position loop as its maker set it; the integral gain changes in proportion."""
 
     position_gain: float = parameter(
         SERVO_GAINS.position_gain, "1/s", "position loop, proportional", low=1.0, high=2000.0,
@@ -74,7 +74,7 @@ class Trim:
 
 @dataclass(frozen=True)
 class KneeEncoderError:
-    """Error of the knee drive's encoder from power-on: what a gear ratio or a mounting angle makes of it."""
+    """Error of the knee drive's encoder from power-on: scale by a wrong gear ratio, zero by the mounting angle."""
 
     scale: float = parameter(1.0, "", "angle read by true angle", low=0.5, high=2.0, source="assumed: none")
     zero_rad: float = parameter(0.0, "rad", "angle read at the true angle 0", low=-0.5, high=0.5,
@@ -250,7 +250,7 @@ def steady(given: str | Sequence[str]) -> frozenset[str]:
 
 
 def trimmed(wire: eds.WireLayout, node_id: int, gains: Mapping[str, float]) -> eds.WireLayout:
-    """Return the wire with a servo as its maker trimmed it: the loop's gains in its dictionary scaled alike."""
+    """Return the wire with a trimmed servo: the loop's gains in its dictionary, scaled alike."""
     servo = wire.nodes[node_id]
     ratio = gains["position_gain"] / SERVO_GAINS.position_gain
     entries = dict(servo.dictionary.entries)

@@ -52,7 +52,7 @@ def _steady(bench: Bench) -> Steady | None:
 
 
 class Shared:
-    """A bench and how many buses are open on it; the lock lets them be used from several threads."""
+    """A bench and the number of buses that are open on it; the lock permits their use from several threads."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
@@ -80,9 +80,9 @@ class SteadyCycles:
         self._steady, self._asked, self._lock = steady, asked, lock
 
     def run(self, data: bytes, beat_ns: int, after_ns: int) -> CompleteCycle | bool:
-        """Send the targets `data`, the heartbeat at `beat_ns`, and go on to the last input of a SYNC after `after_ns`.
+        """Send the targets `data` and the heartbeat at `beat_ns`, and run to the last input of a SYNC after `after_ns`.
 
-        False where this cycle may hold anything else: then nothing has happened.
+        False, and no change, if the cycle may contain anything else.
         """
         with self._lock:
             return self._steady.cycle(self._asked, data, beat_ns, after_ns) or False
@@ -211,7 +211,7 @@ class BowdenBus(can.BusABC):
         return None
 
     def _wait_long(self, until_ns: int) -> None:
-        """Let time pass event by event up to `until_ns`, the bus free for other threads in between."""
+        """Let bus time pass event by event up to `until_ns`, with the lock free for other threads in between."""
         queue, kernel, shared = self._queue, self._kernel, self._shared
         while not queue and not self._is_shutdown:
             with shared.turnstile:  # a thread that sends stands here while it waits for the lock

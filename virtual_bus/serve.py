@@ -78,7 +78,7 @@ class Outside:
         self._routes.clear()
 
     def submit(self, station: Station, frame: Frame, ready_ns: int, origin: object = None) -> bool:
-        """Send at once, for wall time includes its own turnaround, or when a fault lets the frame go."""
+        """Send at once, or when a fault releases the frame: in wall time the turnaround is the computer's own."""
         now_ns = self._kernel.now_ns
         if self._judge is None:
             return self._send(station, frame)
@@ -90,7 +90,7 @@ class Outside:
         return True
 
     def _pass_on(self, station: Station, frame: Frame, origin: object) -> None:
-        """Send what the faults leave of a frame."""
+        """Send a frame as the faults change it: once, twice, altered or not at all."""
         left = self._judged(station, frame, origin)
         if left is not None:
             self._send(station, left)

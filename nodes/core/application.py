@@ -42,10 +42,10 @@ class Application:
         """Process a change of the NMT state to `state`; INITIALISING occurs at either reset."""
 
     def communication_lost(self, reason: Emcy, now_ns: int) -> None:
-        """A heartbeat, an RPDO deadline or the bus itself was lost; 0x1029 acts on the NMT state afterwards."""
+        """React to a lost heartbeat, RPDO or bus; 0x1029 acts on the NMT state afterwards."""
 
     def reset(self, now_ns: int) -> None:
-        """Power-on or reset node: `device.values` holds stored or default values; clear all other state."""
+        """Clear all state at power-on or reset node; `device.values` holds stored or default values."""
 
     def poll(self, now_ns: int) -> None:
         """Run all actions that are due."""

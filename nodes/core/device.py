@@ -99,7 +99,8 @@ class Device:
         self.nmt.initialise(True, now_ns)
 
     def receive(self, frame: Frame, now_ns: int) -> None:
-        """Act on a frame from the bus; whatever is not for this device, or not now, changes nothing."""
+        """Process a frame from the bus; a frame for another device, or one that the NMT state forbids, changes nothing.
+        """
         self.now_ns = now_ns
         can_id, data, remote, extended, error, _dlc = frame
         if remote or extended or error:
@@ -132,7 +133,7 @@ class Device:
         return due_ns if due_ns < FAR_NS else None
 
     def changed(self, now_ns: int) -> None:
-        """The application changed process values outside `receive` and `poll`: event-driven TPDOs may be due."""
+        """Send event-driven TPDOs that are due after the application changed values outside `receive` and `poll`."""
         self.now_ns = now_ns
         self.pdos.look(now_ns)
 

@@ -21,7 +21,7 @@ LIFE_TIME_FACTOR: Final = 0x100D
 
 
 class Guarding(Part):
-    """Answers the master's remote frames with the NMT state; reports a master that stops asking, as EMCY 0x8130."""
+    """Node guarding: answers the master's remote frames with the NMT state; EMCY 0x8130 if the master stops asking."""
 
     service = Service.ERROR_CONTROL
 

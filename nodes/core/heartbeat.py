@@ -22,7 +22,7 @@ CONSUMER: Final = 0x1016
 
 
 class Producer(Part):
-    """Says every 0x1017 ms that this node lives, and in which state; a boot-up is its first heartbeat."""
+    """Producer of the heartbeat: the NMT state every 0x1017 ms; a boot-up is the first heartbeat."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -83,7 +83,7 @@ class _Watched:
 
 
 class Consumer(Part):
-    """Watches the nodes that 0x1016 lists; a loss is EMCY 0x8130, then 0x1029 and the application."""
+    """Consumer of the heartbeats that 0x1016 lists; a loss is EMCY 0x8130, then 0x1029 and the application."""
 
     service = Service.ERROR_CONTROL
 

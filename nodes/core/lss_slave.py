@@ -70,7 +70,7 @@ class LssSlave(Part):
 
     @property
     def muted(self) -> bool:
-        """Nothing may be sent: the bit timing was switched and the other devices are still switching."""
+        """Return whether nothing may be sent: the bit timing was switched and other devices are still switching."""
         return self._speak_ns != FAR_NS
 
     def handlers(self) -> Iterator[tuple[int, Handler]]:

@@ -80,7 +80,8 @@ class Store(Part):
             self._device.emcy.set(Emcy.DATA_SET, Emcy.DATA_SET.register)
 
     def wrote(self, at: int, value: Value) -> None:
-        """A write is about to happen: 0x1020 no longer vouches for the configuration (CiA 301, 7.5.2.23)."""
+        """Set 0x1020 to zero before a parameter is written: it no longer verifies the configuration (CiA 301,
+        7.5.2.23)."""
         if at >> 8 == VERIFY:
             self._changed = False
         elif self._device.values.get(at) != value and self._storable(at):

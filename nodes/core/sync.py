@@ -83,7 +83,7 @@ class Sync(Part):
 
     @property
     def steady(self) -> bool:
-        """Whether a SYNC triggers the PDOs only: no data, no window, no fault, not produced here."""
+        """Return whether a SYNC triggers the PDOs only: no data, no window, no fault, not produced here."""
         return not (self._length or self._fault or self._window_ns or self._making)
 
     def _right_length(self, data: bytes) -> bool:
@@ -130,7 +130,7 @@ class Sync(Part):
         return refusal
 
     def _check_overflow(self, _subindex: int, value: Value) -> Abort | None:
-        """0 or 2 … 240, and not while 0x1006 holds a period (CiA 301, 7.5.2.22)."""
+        """Check a write to 0x1019: 0 or 2 … 240, and not while 0x1006 holds a period (CiA 301, 7.5.2.22)."""
         if value == 1 or int(value) > SYNC_MAX:
             return Abort.INVALID_VALUE
         return Abort.DEVICE_STATE if self._device.objects.number(key(PERIOD)) else None

@@ -21,7 +21,7 @@ from nodes.drives import set_point_law
 NO_WINDOW: Final = 0xFFFFFFFF
 """Value of 0x6065 that switches the monitoring of the following error off."""
 STOP_MARGIN_S: Final = 0.5
-"""Time beyond a ramp's own in which an axis must come to rest; then the stop counts as done all the same."""
+"""Time, s, beyond a ramp's own duration after which a stop counts as completed although the axis moves."""
 
 
 class Units:
@@ -40,11 +40,11 @@ class Units:
         self.arm_m = feed / (2.0 * math.pi)
         """Drum radius of a linear axis; 1 of a rotary one."""
         self.apart = law.APART_SHARE * dictionary.initial(0x6065) * self.position
-        """Largest difference of the distances by position and by velocity, m or rad."""
+        """Largest permitted difference of the distances by position and by velocity, m or rad."""
 
 
 class Axis:
-    """Settings in, counts out, and the motions that a state machine may ask for."""
+    """One axis: settings from the objects, counts to them, and the motions of the state machine."""
 
     def __init__(self, dictionary: Dictionary) -> None:
         law.prepare()
@@ -94,17 +94,18 @@ class Axis:
 
     @property
     def unit(self) -> float:
-        """m or rad per count of the position object, with the sign of 0x607E."""
+        """Return m or rad per count of the position object, with the sign of 0x607E."""
         return self._sign * self.units.position
 
     def adopt(self, s: Any, g: Any, out: Any) -> None:
-        """Use this memory for state, settings and counts from now on."""
+        """Move state, settings and counts into this memory."""
         s[:], g[:], out[:] = self.s, self.g, self.out
         self.s, self.g, self.out = s, g, out
         self.state, self.settings = memoryview(s), memoryview(g)
 
     def home(self, raw: int) -> None:
-        """Let the present position read `raw`; call `configure` afterwards, for the limits move with it."""
+        """Set the zero so that the present position reads `raw`; call `configure` afterwards, since the limits move
+        with it."""
         self.origin = 0.0
         self.origin = self.state[law.POSITION] - self.position(raw)
 
@@ -115,7 +116,7 @@ class Axis:
         set_point_law.target(self.s, self.unit, self.origin, raw)
 
     def step_to(self, raw: int) -> float:
-        """Return the way, in counts, from the last target to a new one."""
+        """Return the distance, in counts, from the last target to a new one."""
         return float((self.position(raw) - self.state[law.TARGET]) / self.units.position)
 
     def target_velocity(self, raw: int) -> None:

@@ -49,12 +49,13 @@ IS_LIMITED, IS_OFF_TRACK, IS_YIELDING, IS_MOVING = 1, 2, 4, 8
 
 MAX_DT_S: Final = 0.01
 APART_S: Final = 0.3
-"""Time constant over which the way by position is compared with the way by velocity, s: a quarter of the fastest gait.
-Shorter: a scale error of the encoder passes unseen in slow gaits.  Longer: a velocity gain that is 1 % off trips."""
+"""Time constant, s, over which the distance by position is compared with the distance by velocity: a quarter of the
+fastest gait. Shorter: a scale error of the encoder is not detected in slow gaits. Longer: a velocity gain that is 1 %
+off trips."""
 APART_SHARE: Final = 0.1
-"""Greatest difference of both ways, as a share of the EDS' following-error window: 0.5 mm of rope, 0.5 degrees of the
-knee.  A narrower window that a user writes does not change it.  Smaller: a velocity that is filtered over 1 ms trips at
-the greatest speeds.  Larger: the axis shakes for longer."""
+"""Greatest difference of both distances, as a share of the EDS' following-error window: 0.5 mm of rope, 0.5 degrees of
+the knee. A narrower window that a user writes does not change it. Smaller: a velocity that is filtered over 1 ms trips
+at the greatest speeds. Larger: the axis shakes for longer."""
 GAINED_M_S: Final = 0.02
 """Speed of winding in, m/s, that a drum gains against its torque before its stage counts as one with the wrong sign.
 Smaller: the noise of a velocity trips. Larger: the drum has more speed when the torque goes; a velocity loop with the
@@ -62,12 +63,13 @@ wrong sign doubles it each millisecond."""
 TRUST_S: Final = 0.05
 """Age beyond which a tension is not trusted; the deadline of its PDO is shorter."""
 YIELD_RATE: Final = 160.0
-"""1/s: how fast the tension limiter closes on its limit, on a rope of the stiffness it assumes; well damped with the
+"""Rate at which the tension limiter closes on its limit, 1/s, on a rope of the assumed stiffness; well damped with the
 3 ms between bridge and drum."""
 HELD_FROM: Final = 0.9
-"""Share of the tension limit from which on the rope, and not the axis, holds a position back."""
+"""Share of the tension limit from which on the rope limits the axis, so that a following error is not timed."""
 TIGHTEN_PER_N: Final = 0.002
-"""m/s of rope for each newton short of the preload: a time constant of 0.2 s on the soft rope, which averages noise."""
+"""Rope speed per newton short of the preload, m/s/N: a time constant of 0.2 s on the soft rope, which averages noise.
+"""
 TIGHT_N: Final = 0.6
 """Band about the preload, four times the assumed noise of the bridge."""
 TIGHT_S: Final = 0.25
@@ -113,7 +115,7 @@ def bound(s: Any, g: Any, mode: int, position: float) -> None:
 
 @njit
 def run(s: Any, g: Any, wanted: float, velocity: float, dt_s: float) -> float:
-    """Return the torque of the velocity loop within the bounds."""
+    """Return the torque, N·m, of the velocity loop for the velocity `wanted`, within the bounds."""
     given = min(s[SPEED_HIGH], max(s[SPEED_LOW], wanted))
     if given != wanted:
         s[LIMITED] = 1.0
@@ -143,11 +145,11 @@ def interpolate(s: Any, g: Any, dt_s: float) -> None:
 
 @njit
 def follow(s: Any, g: Any, position: float, velocity: float, dt_s: float) -> float:
-    """Return the torque that follows the interpolated positions; flag an error that lasts longer than its window's
-    time.
+    """Return the torque, N·m, that follows the interpolated positions; set a flag if the following error lasts too
+    long.
 
-    While the tension's bound holds the axis back, the error is not timed, on two conditions: the axis moves as fast
-    as the bound allows, or the rope is near its limit. An axis at rest below it has lost its track.
+    While the tension's bound holds the axis back, the error is not timed, on two conditions: the axis moves as fast as
+    the bound allows, or the rope is near its limit. An axis at rest below it has lost its track.
     """
     interpolate(s, g, dt_s)
     forward = g[FEED_FORWARD] * s[RAMP] + g[VELOCITY_OFFSET]
@@ -213,7 +215,7 @@ def tighten(s: Any, g: Any, position: float, velocity: float, dt_s: float) -> fl
 
 @njit
 def act(s: Any, g: Any, mode: int, position: float, velocity: float, dt_s: float) -> float:
-    """Return the torque of a mode in which the drive function is on, within its bound."""
+    """Return the torque, N·m, of mode `mode` of the enabled drive, bounded; position and velocity in SI at the axis."""
     if mode == FOLLOW:
         torque = follow(s, g, position, velocity, dt_s)
     else:

@@ -123,7 +123,7 @@ class Drive(ModesOfOperation):
             self.latch(now_ns)
 
     def next_ns(self) -> int | None:
-        """At once, after a tick that changed something; else when a hold ends."""
+        """Return the time of the next action: at once after a tick that changed something, else the end of a hold."""
         return self.device.now_ns if self.changed else self.hold_ends_ns
 
     def tick(self, now_ns: int, position: float, velocity: float) -> float:
@@ -152,7 +152,7 @@ class Drive(ModesOfOperation):
         return self.position_effect() if at == TARGET_POSITION else None
 
     def adopt(self, s: Any, g: Any, out: Any) -> None:
-        """Use this memory for the axis' numbers from now on."""
+        """Move the axis' numbers into this memory."""
         self.axis.adopt(s, g, out)
         self._s, self._g, self._out, self._state = s, g, out, self.axis.state
 

@@ -32,9 +32,9 @@ MODES: Final = frozenset({Mode.NONE, Mode.PROFILE_POSITION, Mode.PROFILE_VELOCIT
 _NEW_SET_POINT, _IMMEDIATE, _RELATIVE = 1 << 4, 1 << 5, 1 << 6
 _SPEED_ZERO = _ACKNOWLEDGED = Status.FOLLOWS_COMMAND
 _RAMP: Final = int(Stop.QUICK_STOP_RAMP)
-"""Quick stop where the EDS has no 0x605A."""
+"""Quick stop option if the EDS has no 0x605A."""
 _HOLDS: Final = int(Stop.SLOW_DOWN_RAMP_HOLD)
-"""Values of 0x605A from here on stay in QUICK STOP ACTIVE."""
+"""Least value of 0x605A that stays in QUICK STOP ACTIVE."""
 _CYCLIC: Final = (Mode.CSP, Mode.CSV, Mode.CST)
 _BASE: Final = {
     State.NOT_READY_TO_SWITCH_ON: 0x00, State.SWITCH_ON_DISABLED: 0x40, State.READY_TO_SWITCH_ON: 0x31,

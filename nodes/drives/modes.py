@@ -119,11 +119,12 @@ class ModesOfOperation(StateMachine):
 
     @property
     def _commanded(self) -> bool:
-        """Every master that 0x1016 names is alive: without it nobody answers for a set-point."""
+        """Return whether every master that 0x1016 names is alive: set-points are ignored otherwise."""
         return self.device.consumer.all_live()
 
     def to_position(self, _value: int, _now_ns: int) -> None:
-        """Take 0x607A, with the offset 0x60B0; a step beyond 0x2017 is refused with EMCY 8612h, the last one holds."""
+        """Apply a write to 0x607A, with the offset 0x60B0; a step beyond 0x2017 is refused with EMCY 8612h, the last
+        target holds."""
         if self._open is not Mode.CSP or not self._commanded:
             return
         target, limit = self.number(0x607A) + self.number(0x60B0), self.number(0x2017)

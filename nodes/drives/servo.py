@@ -51,7 +51,7 @@ class ServoDrive(Drive):
         g[law.TRAVEL] = self.number(0x2016) * units.position
 
     def ready(self) -> bool:
-        """Whether the drive may be enabled: not while the sensor reports an invalid value."""
+        """Return whether the drive may be enabled: not while the sensor reports an invalid value."""
         return super().ready() and not self._no_tension
 
     def cured(self) -> bool:

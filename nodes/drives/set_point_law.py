@@ -19,12 +19,15 @@ NO_TENSION: Final = -(1 << 15)
 
 
 KEEPS, FOLLOWS, FEELS = range(3)
-"""Effect of a received object besides keeping its value: none; a new target; a tension."""
+"""Effects of a received object in addition to its stored value: none; a new target; a tension."""
 
 
 class RpdoEffect(NamedTuple):
-    """Effect of a received object, and its range: `FOLLOWS` by `unit` from `origin` over at most `most` counts;
-    `FEELS` up to `most` N. Larger values need the drive's own code."""
+    """Effect of a received object on the axis.
+
+    `FOLLOWS`: a new target of `unit` (m or rad) per count from `origin`, at most `most` counts. `FEELS`: a tension of
+    at most `most` N. Larger values are processed by the drive's own code.
+    """
 
     action: int
     unit: float = 0.0

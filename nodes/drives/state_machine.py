@@ -47,7 +47,7 @@ class StateMachine(Application):
         self._at_rest: Callable[[int], None] | None = None
         self._errors: list[Emcy] = []
         self.hold_ends_ns: int | None = None
-        """When a stop that holds lets go by itself, since nobody is left who could end it (0x2018)."""
+        """Time, ns, at which a holding stop ends by itself after the connection was lost (0x2018); None otherwise."""
 
     def number(self, index: int, subindex: int = 0) -> int:
         """Return the value of an integer object, 0 where the EDS has none."""
@@ -88,7 +88,8 @@ class StateMachine(Application):
         self.fire(event, now_ns)
 
     def fire(self, event: DriveEvent, now_ns: int) -> None:
-        """Take the row that `event` opens in this state, if its guard agrees; its option code may brake first."""
+        """Take the row of the table for `event` in this state, if its guard permits; its option code may brake first.
+        """
         row = STEP.get((self.state, event))
         if row is None or not self._may(row):
             return
@@ -190,7 +191,7 @@ class StateMachine(Application):
     # ---- faults ----
 
     def fault(self, code: Emcy, now_ns: int, announce: bool = True) -> None:
-        """Row 13: a fault came up; where `announce` is false the core has already sent the EMCY."""
+        """Process a fault (row 13); `announce` False: the core has already sent the EMCY."""
         self.values[ERROR_CODE] = int(code)
         if announce:
             self._errors.append(code)
@@ -213,7 +214,7 @@ class StateMachine(Application):
             self.hold_ends_ns = now_ns + hold_ms * MS_NS
 
     def emergency_stop(self, active: bool, now_ns: int) -> None:
-        """The wired emergency-stop input (STO): torque goes at once and stays away until the operator's release."""
+        """Set the wired emergency-stop input (STO): the torque ends at once, until the operator's release."""
         self.device.now_ns = now_ns
         self.emergency_stopped = active
         if active:
@@ -228,7 +229,7 @@ class StateMachine(Application):
         self.show()
 
     def release(self, now_ns: int) -> None:
-        """The operator's release after an emergency stop; 0x2020 takes it only when the input is clear."""
+        """Process the operator's release after an emergency stop; 0x2020 is refused while the input is active."""
         self.awaits_release = False
         self.values[RELEASE] = 0
         self.device.recover(Emcy.STO)
@@ -250,7 +251,7 @@ GUARDS: Final[Mapping[int, TransitionGuard]] = MappingProxyType({
                         lambda machine: machine.cured()),
     16: TransitionGuard("0x605A is 5 or 6", lambda machine: machine.number(0x605A) in _HOLDING and machine.ready()),
 })
-"""By row."""
+"""Further conditions of the rows, by row number."""
 
 ACTIONS: Final[Mapping[int, Callable[[StateMachine, int], None]]] = MappingProxyType({
     4: StateMachine._start,

@@ -88,7 +88,7 @@ class TensionSensor(Application):
         self.latch(now_ns)
 
     def reset(self, now_ns: int) -> None:
-        """Power-on and reset node: stored or default settings, an empty filter, the wire as it is."""
+        """Reset to stored or default settings with an empty filter; a broken wire stays broken."""
         self._reported.clear()
         self._take_spans()
         self._configure(restart=True)
@@ -214,10 +214,10 @@ class TensionSensor(Application):
 
     @property
     def steady(self) -> bool:
-        """Whether only values change from sample to sample: measuring, value valid, status already reported."""
+        """Return whether only values change from sample to sample: measuring, value valid, status already reported."""
         return self._measuring and not self._changed and self._verdict in (0, POSITIVE_OVERLOAD, NEGATIVE_OVERLOAD)
 
     def adopt(self, channel: Any) -> None:
-        """Use this memory for the channel's numbers from now on."""
+        """Move the channel's numbers into this memory."""
         channel[:] = self.channel
         self.channel = channel

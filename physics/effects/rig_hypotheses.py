@@ -32,7 +32,7 @@ from physics.rig_constants import BETWEEN, LINK, WEIGHT, WEIGHT_ANGLE
 from physics.rig_forces import shares_of
 
 FAINT: Final = 0.5
-"""Torque of gravity, of the friction, below which no mass hangs off the axis."""
+"""Ratio of the torque of gravity to the friction below which the axis counts as one without a hanging mass."""
 LOAD_N: Final = 40.0
 """Tension, N, at which `load_slope` of the catalogue is stated."""
 
@@ -59,8 +59,8 @@ def _share(prefix: str, name: str, sd: float) -> Callable[[Values], tuple[Varian
 
 
 def _heavier(values: Values) -> tuple[Variant, ...]:
-    """Return a mass that is added or taken off an axis that has one: it has weight and inertia, on an arm's links, too.
-    """
+    """Return the variant of a mass that is added to or removed from an axis with weight: inertia and gravity change, on
+    an arm's links, too."""
     if values["unbalance"] < FAINT * values["drive_friction"]:
         return ()
     weights = [n for n in values if n == "unbalance" or (n.startswith(WEIGHT) and not n.startswith(WEIGHT_ANGLE))]
@@ -70,8 +70,8 @@ def _heavier(values: Values) -> tuple[Variant, ...]:
 
 
 def _reads_more(values: Values) -> tuple[Variant, ...]:
-    """Return a larger gain of START: offset, ratio, dry and viscous friction grow alike, the capstan's exponent stays.
-    """
+    """Return the variant of a larger gain of START: offset, ratio, dry and viscous friction grow alike; the capstan's
+    exponent stays."""
     a, b = values["load_share"], values["viscous_share"]
     return (Variant((Direction({"ratio": values["ratio"], "offset": values["offset"], "friction": 1.0 - a,
                                 "load_share": -a * (1.0 - a), "viscous_share": a * b}, 0.06),), {}),)

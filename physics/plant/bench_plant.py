@@ -111,7 +111,7 @@ class BowdenPlant:
 
     @property
     def joint(self) -> JointState:
-        """State of the leg at the knee."""
+        """Return the state of the leg at the knee."""
         memory = self._memory
         return JointState(float(memory[SLOT.leg_q]), float(memory[SLOT.leg_w]), float(memory[SLOT.leg_a]))
 
@@ -126,20 +126,20 @@ class BowdenPlant:
         return Outputs._make(self._out.tolist())
 
     def truth(self) -> Mapping[str, float]:
-        """Return the true tensions, the slip states and what else no device feels."""
+        """Return the true tensions, the slip states and other quantities that no device measures."""
         row = np.empty(len(truth_row.NAMES))
         truth_row.truth_row(self._memory, row)
         return dict(zip(truth_row.NAMES, row.tolist(), strict=True))
 
     def adopt(self, memory: Array) -> None:
-        """Keep the whole state in this memory, of `state_layout.SIZE` numbers, from now on."""
+        """Move the whole state into this memory of `state_layout.SIZE` numbers."""
         memory[:] = self._memory
         self._memory = memory
         self._out = memory[SLOT.out_servo_x : SLOT.out_servo_x + len(Outputs._fields)]
 
     @property
     def now_ns(self) -> int:
-        """The last whole step that the state stands at; to be set by whoever ran `step.advance` over it."""
+        """Return the time of the state, ns: that of the last whole step; a caller of `step.advance` sets it."""
         return self._now_ns
 
     @now_ns.setter
@@ -148,7 +148,7 @@ class BowdenPlant:
 
     @property
     def memory(self) -> Array:
-        """A copy of the whole state, by `physics.plant.state_layout.SLOT`."""
+        """Return a copy of the whole state, by `physics.plant.state_layout.SLOT`."""
         return self._memory.copy()
 
 

@@ -15,7 +15,7 @@ from physics.parameters import declared
 
 @dataclass(frozen=True)
 class CableParameters:
-    """Rope, sheath and the friction between them."""
+    """Parameters of rope, sheath and the friction between them."""
 
     mu1: float = declared("mu1")
     theta1_rad: float = declared("theta1")

@@ -17,7 +17,7 @@ from physics.path_laws import stretched
 
 @dataclass(frozen=True)
 class FabricParameters:
-    """The fabric and its friction over the knee."""
+    """Parameters of the fabric and of its friction over the knee."""
 
     mu2: float = declared("mu2")
     wrap_rad: float = declared("phi0")

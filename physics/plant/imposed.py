@@ -1,4 +1,4 @@
-"""The rope path under a given motion: drum and leg go where they were measured, both tensions are what comes out.
+"""The rope path under a measured motion of drum and leg; both tensions are simulated.
 
 The rule of this file: it is the plant's own chain (`chain`, `cable`, `fabric`) without drives and without the leg's
 mechanics; node 0 and the anchor follow cubic splines through the samples, in steps of `STEP_S` at most.
@@ -29,12 +29,13 @@ from physics.plant.step import SLOW, digest
 from physics.terms import Term
 
 STEP_S: Final = 2.0 * step.STEP_S
-"""Longest step: without drives the chain is all that is quick, and its fastest mode turns by twice `derived.TURN`, one
-radian, of the two that an explicit step allows."""
+"""Longest step, s. Without drives the chain has the fastest mode; it turns by one radian in this step (twice
+`derived.TURN`), of the two that an explicit step allows."""
 CUTOFF_HZ: Final = 60.0
-"""Zero-phase low-pass on the given motion: an encoder's noise is no motion, and pre-sliding would take it for one."""
+"""Cut-off of the zero-phase low-pass on the measured motion, Hz: pre-sliding would treat the encoder's noise as motion.
+"""
 REST_S: Final = 0.2
-"""Time that the rope is given to come to rest before the first sample: where it was before is not known."""
+"""Time, s, in which the rope comes to rest before the first sample: its earlier motion is unknown."""
 
 
 class Tensions(NamedTuple):
@@ -46,7 +47,7 @@ class Tensions(NamedTuple):
 
 @njit(inline="always")
 def _placed(m: Any, drum: float, drum_v: float, knee: float, knee_w: float) -> float:
-    """Put node 0 and the anchor where the measurement had them; return the velocity of the knee's surface, m/s."""
+    """Put node 0 and the anchor at their measured positions; return the velocity of the knee's surface, m/s."""
     m[SLOT.x], m[SLOT.v] = drum, drum_v
     m[SLOT.servo_x], m[SLOT.servo_v], m[SLOT.leg_q] = drum, drum_v, knee
     if m[SLOT.eccentricity_m] != 0.0:

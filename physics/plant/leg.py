@@ -17,12 +17,12 @@ from physics.parameters import declared
 
 GRAVITY: Final = 9.80665
 KNEE_AT_FIT: Final = float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
-"""The knee angle, rad, at which (10) was fitted: there the anchor's displacement is zero."""
+"""Knee angle, rad, at which (10) was fitted: the anchor's displacement is zero there."""
 
 
 @dataclass(frozen=True)
 class LegParameters:
-    """57BL75S10-230 motor, PX6-57 1:20 reducer, lower-leg model, END sensor."""
+    """Parameters of the 57BL75S10-230 motor, the PX6-57 1:20 reducer, the lower-leg model and the END sensor."""
 
     rope_per_knee: float = declared("rope_per_knee")
     rope_per_knee_quadratic: float = declared("rope_per_knee_quadratic")

@@ -15,7 +15,7 @@ from physics.parameters import declared
 
 @dataclass(frozen=True)
 class ServoParameters:
-    """An RD-X6-like 48 V servo; the paper names the type only, so every figure is assumed."""
+    """Parameters of a 48 V servo like the RD-X6; the paper names the type only, so every figure is assumed."""
 
     drum_radius_m: float = declared("drum_radius")
     supply_v: float = declared("supply")

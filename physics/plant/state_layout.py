@@ -28,7 +28,7 @@ TERM_WIDTH: Final = 11
 
 @dataclass(frozen=True)
 class PlantParameters(LegParameters, FabricParameters, CableParameters, ServoParameters):
-    """The whole bench, nominal; each number with its unit, bounds and source, the assumed ones marked so."""
+    """Parameters of the whole bench with their nominal values, units, bounds and sources; assumed ones are marked."""
 
 
 _SCALARS: Final = (

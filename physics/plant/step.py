@@ -29,7 +29,7 @@ SLOW: Final = 10
 
 @njit(inline="always")
 def servo(m: Any, demand_a: float, arm: float) -> None:
-    """One step of motor and drum; `arm` is the rope drawn per metre at the drum (1 without eccentricity)."""
+    """Advance motor and drum by one step; `arm` is the rope drawn per metre at the drum (1 without eccentricity)."""
     radius, constant = m[SLOT.drum_radius_m], m[SLOT.torque_constant]
     speed, current = m[SLOT.servo_v], m[SLOT.current]
     back_emf = constant * speed / radius
@@ -54,7 +54,7 @@ def servo(m: Any, demand_a: float, arm: float) -> None:
 
 @njit(inline="always")
 def knee(m: Any, demand_nm: float, rope_nm: float) -> None:
-    """One step of knee drive, reducer and leg; `rope_nm` is what rope and fabric do to the leg."""
+    """Advance knee drive, reducer and leg by one step; `rope_nm`: torque of rope and fabric on the leg, N·m."""
     given = knee_limit(
         demand_nm, m[SLOT.motor_w], m[SLOT.knee_torque_limit_nm], m[SLOT.knee_stall_nm], m[SLOT.knee_no_load_rad_s])
     m[SLOT.motor_t] += STEP_S / m[SLOT.knee_lag_s] * (given - m[SLOT.motor_t])
@@ -142,4 +142,4 @@ def digest() -> int:
 
 
 advance: Final[Any] = _compile(digest())
-"""advance(memory, steps, servo torque in N·m, knee torque in N·m): the whole bench by `steps` of 10 µs."""
+"""advance(memory, steps, servo torque in N·m, knee torque in N·m): advance the whole bench by `steps` of 10 µs."""

@@ -131,7 +131,8 @@ class Steady:
         )
 
     def _heard(self, asked: CycleRequest) -> bool:
-        """Nobody listens but the nodes, the truth, this master and its tap, and they hear all of it."""
+        """Return whether nodes, truth, master and monitor socket are the only listeners, each without a filter that
+        drops frames."""
         bench, truth, tap = self._bench, self._machine.truth, asked.tap
         host, members = bench.host, self._arrays.members
         sockets = [asked.socket] if tap is None else [asked.socket, tap]
@@ -147,7 +148,8 @@ class Steady:
         )
 
     def _scan(self) -> bool:
-        """Find SYNC's task and the first event that is not for here; False where no SYNC runs, or it comes too late."""
+        """Find SYNC's task and the first event outside the compiled cycle; False if no SYNC runs, or it comes too late.
+        """
         bench, sync = self._bench, None
         foreign_ns = bench.wire.quiet_until(self._kernel.now_ns)
         stations = [member.station for member in self._arrays.members]
@@ -171,7 +173,7 @@ def _plain(message: BowdenMessage) -> bool:
 
 
 def _at_work(device: Device, asked: CycleRequest) -> bool:
-    """Whether a device is OPERATIONAL with nothing to send, no SDO, no SYNC counter, and one live master."""
+    """Return whether a device is OPERATIONAL with nothing to send, no SDO, no SYNC counter, and one live master."""
     consumer = device.consumer
     return (device.state is NmtState.OPERATIONAL and not device.outbox and device.emcy.silent and device.sdo.idle
             and device.sync.steady and consumer.all_live()

@@ -135,7 +135,8 @@ class Arrays:
         return Tables(rows, known, [pdo for _, _, pdo in receivers])
 
     def fill(self, asked: CycleRequest, tables: Tables, sync: PeriodicTask) -> None:
-        """Write the tables and where everything stands, and take the events of machine, SYNC and nodes off the heap."""
+        """Write the tables and the present state into the arrays, and take the events of machine, SYNC and nodes off
+        the heap."""
         self._fill_tables(asked, tables)
         self._fill_nodes()
         i, bench, wire = self.i, self._bench, self._bench.wire
@@ -193,7 +194,8 @@ class Arrays:
     # ---- back ----
 
     def hand_back(self, asked: CycleRequest, sync: PeriodicTask, ran: bool) -> None:
-        """Write everything back; the events of machine, SYNC and nodes go on the heap; `ran`: at least one cycle."""
+        """Write the state back to the objects and put the events of machine, SYNC and nodes on the heap; `ran`: a cycle
+        has run."""
         i, bench = self.i, self._bench
         self._plant.now_ns = i[law.PLANT_NS]
         bench.wire.carried(i[law.FRAMES], i[law.BUSY], i[law.IDLE_NS])
@@ -208,7 +210,7 @@ class Arrays:
         self._hand_back_waiting(asked.socket)
 
     def write_truth(self) -> None:
-        """Write the rows of the truth that wait."""
+        """Write the collected rows of true signals to the truth file."""
         count, truth = self.i[law.TRUTH_ROWS], self._machine.truth
         self.i[law.TRUTH_ROWS] = 0
         if truth is not None and count:
@@ -234,7 +236,7 @@ class Arrays:
             station.look_again(now_ns)
 
     def _hand_back_waiting(self, socket: Socket) -> None:
-        """Let the frames that wait for the wire wait there: heartbeats, for all else has been sent."""
+        """Return the waiting frames to their queue: heartbeats, since everything else has been sent."""
         i = self.i
         for n in range(i[law.WAITING]):
             at = law.PENDING + n * law.PENDING_WIDTH

@@ -71,7 +71,7 @@ def _memory(code: str, kept: Sequence[_Part], rest: Sequence[_Part]) -> np.dtype
 
 
 def places(memory: np.dtype[np.void]) -> dict[str, int]:
-    """Return at which 8-byte word of a memory each of its parts begins; `before` and the whole, `size`, with them."""
+    """Return the first 8-byte word of each part of a memory; `before` and the whole, `size`, with them."""
     found = {"before": _word(memory, "before"), "size": memory.itemsize // 8}
     for half in ("kept", "rest"):
         part = memory[half]
@@ -217,7 +217,7 @@ def digest() -> int:
 
 @njit
 def act(f: Any, i: Any, rings: Any, now: int) -> bool:
-    """Bring the plant up to `now`, tick the drives, sample the sensors that are due; False where one has an event."""
+    """Advance the plant to `now`, tick the drives and sample the sensors that are due; False if one has an event."""
     steps = (now - i[PLANT_NS]) // step.STEP_NS
     i[PLANT_NS] += steps * step.STEP_NS
     m = f[F_PLANT:F_PLANT + SIZE]
@@ -255,7 +255,7 @@ def put(i: Any, ready: int, can_id: int, size: int, data: Any, sender: int) -> N
 
 @njit
 def latch(f: Any, i: Any, now: int) -> bool:
-    """Bring every node's values up to date and put its TPDOs; False where a value does not fit its field."""
+    """Latch every node's values and queue its TPDOs; False if a value does not fit its field."""
     for k in range(AXES):
         s = f[F_STATE + k * _STATE:F_STATE + (k + 1) * _STATE]
         g = f[F_SET + k * _SET:F_SET + (k + 1) * _SET]
@@ -291,7 +291,7 @@ def latched(f: Any, i: Any, node: int, source: int) -> Any:
 
 @njit
 def take(f: Any, i: Any, n: int) -> Any:
-    """Take the data that waits in RPDO `n`; False where more follows from it than a new set-point."""
+    """Apply the waiting data of RPDO `n`; False if the effect is more than a new set-point."""
     at, kept = TAKE + n * TAKE_WIDTH, TOOK + TOOK_WIDTH * n
     data = np.uint64(i[kept + 1])
     i[kept], i[kept + 2], i[kept + 3] = 0, 1, i[kept + 1]
@@ -315,7 +315,7 @@ def take(f: Any, i: Any, n: int) -> Any:
 
 @njit
 def hear(f: Any, i: Any, now: int, can_id: int, data: int) -> bool:
-    """Return a frame to every RPDO that has its identifier; False where more follows from it than a new set-point."""
+    """Pass a frame to every RPDO with its identifier; False if the effect is more than a new set-point."""
     for n in range(i[TAKE_COUNT]):
         at, kept = TAKE + n * TAKE_WIDTH, TOOK + TOOK_WIDTH * n
         if i[at + 1] == can_id:
@@ -330,7 +330,7 @@ def hear(f: Any, i: Any, now: int, can_id: int, data: int) -> bool:
 
 @njit
 def synchronise(f: Any, i: Any, now: int) -> bool:
-    """Act on a SYNC as every node does: latch, send, take over; False to give up."""
+    """Process a SYNC in every node: latch, send, apply RPDOs; False to give up."""
     for node in range(NODES):
         i[TOLD + node] = now
     if not latch(f, i, now):
@@ -368,7 +368,7 @@ def watch(i: Any, now: int) -> None:
 
 @njit
 def frame_time(i: Any, at: int) -> Any:
-    """Return how long a waiting frame takes, ns, and count its bits."""
+    """Return the duration of a waiting frame, ns, and count its bits."""
     size, word = i[at + 2], np.uint64(i[at + 3])
     payload: Any = np.uint64(0)
     for _ in range(size):
@@ -381,7 +381,8 @@ def frame_time(i: Any, at: int) -> Any:
 
 @njit
 def winner(i: Any, now: int) -> int:
-    """Return the place of the frame that wins an arbitration at `now`: of the computer's the oldest one takes part."""
+    """Return the place of the frame that wins an arbitration at `now`; of the computer's frames only the oldest
+    contends."""
     best, oldest = -1, -1
     for n in range(i[WAITING]):
         at = PENDING + n * PENDING_WIDTH
@@ -399,7 +400,7 @@ def winner(i: Any, now: int) -> int:
 
 @njit(inline="always")
 def earliest(i: Any) -> Any:
-    """Return when the first of the waiting frames is ready."""
+    """Return the time, ns, at which the first of the waiting frames is ready."""
     first = NEVER
     for n in range(i[WAITING]):
         first = min(first, i[PENDING + n * PENDING_WIDTH])
@@ -452,7 +453,7 @@ def beat_own(i: Any, now: int) -> None:
 
 @njit
 def deliver(f: Any, i: Any, rows: Any, now: int, at: int) -> Any:
-    """Return a frame that has ended to everybody; False to give up."""
+    """Pass a completed frame to all receivers; False to give up."""
     can_id, data, sender = i[at + 1], i[at + 3], i[at + 4]
     i[FRAMES] += 1
     if i[HEARD]:
@@ -560,7 +561,7 @@ def _compile(sources: int) -> Any:
 
 
 cycle: Any = _compile(digest())
-"""`cycle(f, i, rows, rings)` → `DONE`, or why everything is as it was."""
+"""`cycle(f, i, rows, rings)` runs one complete control cycle and returns `DONE`; another result means no change."""
 
 
 def prepare() -> bool:

@@ -1,6 +1,6 @@
 """PDO plans as rows of integers, as `cycle_code` reads them.
 
-The rule of this file: a PDO that the law cannot send or take exactly as the device does gives no row.
+A PDO that the compiled cycle cannot process exactly as the device does gives no row.
 """
 
 from __future__ import annotations

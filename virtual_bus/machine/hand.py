@@ -68,7 +68,7 @@ class CheckingHand:
 
     @property
     def leads(self) -> bool:
-        """Whether it holds the leg at an angle."""
+        """Return whether the hand holds the leg at an angle."""
         return self._angle_rad is not None
 
     def push(self, angle_rad: float, speed_rad_s: float) -> float:

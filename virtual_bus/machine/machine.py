@@ -87,7 +87,7 @@ TRUE_ENCODER: Final = KneeEncoder()
 
 
 class MachineState(NamedTuple):
-    """Progress of a machine between two instants: next drive tick, next samples of the sensors, torques held, N·m."""
+    """State of a machine between two instants: next drive tick, next samples of the sensors, torques held, N·m."""
 
     tick_ns: int
     sample_ns: tuple[int, ...]
@@ -166,7 +166,7 @@ class Machine:
 
     @property
     def steady(self) -> bool:
-        """Whether the machine runs by itself, and every bridge and encoder is intact."""
+        """Return whether the machine runs without a fault: no hand, every bridge and encoder intact."""
         return (bool(self._sample_ns) and not self._bridges and self._hand is None
                 and self._encoder == TRUE_ENCODER)
 
@@ -183,19 +183,19 @@ class Machine:
 
     @property
     def axes(self) -> tuple[MountedDrive, ...]:
-        """Servo and knee axis, or the servo axis alone."""
+        """Return servo and knee axis, or the servo axis alone."""
         return (self._servo, self._knee) if isinstance(self._knee, MountedDrive) else (self._servo,)
 
     @property
     def felt(self) -> frozenset[int | None]:
-        """Node ids of the devices that act on this machine or measure it."""
+        """Return the node ids of the devices that act on this machine or measure it."""
         stations = [*(axis.station for axis in self.axes), *(gauge.station for gauge in self._gauges),
                     *(observer.station for observer in self._observers)]
         return frozenset(station.node for station in stations)
 
     @property
     def gauges(self) -> tuple[Gauge, ...]:
-        """The tension sensors."""
+        """Return the tension sensors."""
         return self._gauges
 
     def close(self) -> None:

@@ -27,16 +27,16 @@ ROPE_M: Final = 2.0 * math.pi * 0.02 / 16384
 
 
 class SensedPath(NamedTuple):
-    """One force path as the monitor's sensors see it."""
+    """Readings of the monitor's own sensors on one force path."""
 
     path: ForcePath
     plant: SwitchedPlant
 
 
 class EnableLine:
-    """The monitor's sensors and its line on a bench whose machines are made after the monitor.
+    """The monitor's sensors and its enable line; the machines of the bench are connected after it is made.
 
-    The torque goes `delay_ns` after the line has opened: response time of a drive's STO input.
+    The torque ends `delay_ns` after the line has opened: response time of a drive's STO input.
     """
 
     def __init__(self, delay_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""A plant of others behind the nodes: whatever it raises becomes one sentence that names the plug-in.
+"""Plug-in plants behind the nodes: an exception of a plug-in becomes one sentence that names it.
 
 A plant that raised holds its last outputs afterwards, so that the drives can still be switched off.
 """
@@ -12,7 +12,7 @@ from physics.plant.bench_plant import Outputs, Plant
 
 
 class PluggedPlant:
-    """A plug-in plant by its name; passes every call on."""
+    """A plug-in plant with its name; it passes every call on."""
 
     def __init__(self, name: str, plant: Plant) -> None:
         self._name, self._plant = name, plant

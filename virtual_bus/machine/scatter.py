@@ -19,7 +19,7 @@ SENSOR: Final = {"start": "start_sensor", "end": "end_sensor"}
 
 
 class Spread(NamedTuple):
-    """One scattered parameter: `law` with a number u drawn evenly from −1 … 1, and where its size comes from."""
+    """One scattered parameter: its distribution `law`, which maps a number u drawn evenly from −1 … 1, and its size."""
 
     group: str
     name: str
@@ -29,7 +29,7 @@ class Spread(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Group and name, as "plant.mu1"."""
+        """Return group and name, such as "plant.mu1"."""
         return f"{self.group}.{self.name}"
 
 

@@ -1,7 +1,7 @@
-"""Who may send next: the frames that wait on one wire.
+"""Arbitration queues: the frames that wait on one wire.
 
-The rule of this file: a frame first becomes ready, then contends; of those that contend the smallest
-arbitration key wins, and frames of equal key from one station keep their order.
+The rule of this file: a frame first becomes ready, then contends; of those that contend the smallest arbitration key
+wins, and frames of equal key from one station keep their order.
 """
 
 from __future__ import annotations
@@ -70,14 +70,14 @@ class Contention:
         heappush(self.contending, entry)
 
     def follow(self, station: Station) -> None:
-        """Let the next of the station's backlog contend in the place of one that was sent."""
+        """Move the station's next waiting frame into the arbitration, after one of its frames was sent."""
         if station.backlog:
             self.again(station.backlog.popleft())
         else:
             station.contending -= 1
 
     def next_ns(self, idle_ns: int) -> int:
-        """Return when the next arbitration can be, not before `idle_ns`; `NEVER` where nothing waits."""
+        """Return the time of the next arbitration, ns, not before `idle_ns`; `NEVER` if no frame waits."""
         ready = self._coming[0][0] if self._coming else NEVER
         if self.contending:
             if self.contending[0][2].resume_ns <= idle_ns:
@@ -86,7 +86,7 @@ class Contention:
         return ready if ready > idle_ns else idle_ns
 
     def withdraw(self, station: Station) -> list[Waiting]:
-        """Empty the station's queue and return what waited in it, in the order of its waiting."""
+        """Remove the station's queue; return its frames in their order."""
         entries = [entry for entry in self.contending if entry[2] is station]
         entries += [*station.backlog, *(entry for _, _, entry in self._coming if entry[2] is station)]
         self._coming = [coming for coming in self._coming if coming[2][2] is not station]

@@ -142,7 +142,7 @@ class Host(Station):
 
 
 class Room:
-    """Buffer that holds as long as a station's transmit queue has room."""
+    """Buffer that `Kernel.run` reads: true once a station's transmit queue has room."""
 
     def __init__(self, station: Station) -> None:
         self._station = station

@@ -18,7 +18,7 @@ from virtual_bus.wire.wire import Wire
 def arrange(
     kernel: Kernel, medium: Callable[[], Medium], stations: Iterable[Station], faults: Iterable[Fault], bit_ns: int
 ) -> None:
-    """Put the beginnings and ends of all such faults on the heap; `medium` is what joins the stations then."""
+    """Schedule the beginning and end of every fault of a station; `medium` joins the stations afterwards."""
     by_node = {station.node: station for station in stations if station.node is not None}
     for fault in faults:
         if fault.kind == "babble":
@@ -33,7 +33,8 @@ def arrange(
 
 
 def wired(kernel: Kernel, faults: Iterable[Fault], inputs: Callable[[Fault, bool], None]) -> None:
-    """Put those of the sensors' bridges and the drives' inputs on the heap: `inputs` hears of each, and of its end."""
+    """Schedule the faults of the sensors' bridges and the drives' inputs; `inputs` is called at each beginning and end.
+    """
     for fault in faults:
         if fault.kind in OF_A_SENSOR | OF_A_DRIVE:
             _plan(kernel, fault, partial(inputs, fault, True), partial(inputs, fault, False))
@@ -87,7 +88,7 @@ _EFFECTS = {"deaf": _deaf, "power_off": _power_off}
 
 
 class _Babbler(Station):
-    """A babbling station: it sends one frame over and over."""
+    """A babbling station: it sends one frame without end."""
 
     def __init__(self, kernel: Kernel, fault: Fault) -> None:
         super().__init__("babbler", lambda frame, now_ns: None, filters=frozenset(), limit=2)

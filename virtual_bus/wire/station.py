@@ -112,7 +112,7 @@ class Station:
         return self.wire.submit(self, frame, ready_ns, origin)
 
     def accepts(self, route: int) -> bool:
-        """Return whether a frame of this identifier (`EXTENDED` set for extended format) gets through the filter."""
+        """Return whether the filter accepts an identifier (`EXTENDED` set for the extended format)."""
         if self.deaf_to is None or route in self.deaf_to:
             return False
         return self.filters is None or route in self.filters

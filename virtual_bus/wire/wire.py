@@ -117,11 +117,11 @@ class Wire:
 
     @property
     def idle_ns(self) -> int:
-        """Time from which on a frame may start."""
+        """Return the bus time, ns, from which on a frame may start."""
         return self._idle_ns
 
     def carried(self, frames: int, busy_bits: int, idle_ns: int) -> None:
-        """Take over the counts of frames and bits of a compiled cycle, and the time from which on a frame may start."""
+        """Add the frames and bits of a compiled cycle; set the time from which on a frame may start."""
         self.frames, self.busy_bits, self._idle_ns = frames, busy_bits, idle_ns
 
     # -- sending -----------------------------------------------------------------------------------

@@ -48,7 +48,7 @@ def mapping_refused(objects: Objects, words: Sequence[int], receive: bool) -> Ab
 
 
 def packer(plan: PdoPlan) -> Callable[[dict[int, Value]], bytes]:
-    """Return what packs a TPDO from the values of a device, in the fewest steps."""
+    """Return the function that packs a TPDO from the values of a device."""
     pack, keys = plan.pack, plan.keys
     if not keys:
         return lambda values: pack()

@@ -28,7 +28,7 @@ _frame: Final = tuple.__new__
 
 
 class SteadyPdos(NamedTuple):
-    """TPDOs in their order, each sent at every SYNC, and the RPDOs that there are, by identifier."""
+    """PDOs of a compiled cycle: the TPDOs in their order, each sent at every SYNC, and the RPDOs by identifier."""
 
     transmit: tuple[TransmitPdo, ...]
     receive: dict[int, ReceivePdo]

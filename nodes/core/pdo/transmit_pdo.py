@@ -57,7 +57,8 @@ class TransmitPdo:
         self.left = 0
 
     def begin(self, counted: bool) -> None:
-        """OPERATIONAL begins: count SYNCs from here, or from the one that sub-index 6 names (`left` = 0 until then)."""
+        """Start at the begin of OPERATIONAL: count SYNCs from here, or from the one that sub-index 6 names (`left` = 0
+        until then)."""
         self.stop()
         self.left = 0 if counted and self.start else self.every
 

@@ -35,7 +35,7 @@ class Transfer:
         self.due_ns = FAR_NS
 
     def receive(self, data: bytes, now_ns: int) -> bytes | None:
-        """Take the client's next frame of 8 bytes; return the answer, if it has one."""
+        """Process the client's next frame of 8 bytes; return the answer, if there is one."""
         raise NotImplementedError
 
     def poll(self, now_ns: int) -> bytes | None:
