@@ -10,8 +10,9 @@ where it moves.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,7 +35,7 @@ SESSIONS = ("rerun1", "reconnected3", "rerun3", "reconnected2")
 
 
 class RigCase(NamedTuple):
-    """A case: kind, reference files, name and trials.
+    """A case: kind, reference files, name, files of its trials, and what is computed into each of them.
 
     `cause`: names of which one must be in the set (none: nothing has changed).  `allowed`: names that may be beside it.
     """
@@ -42,17 +43,19 @@ class RigCase(NamedTuple):
     kind: str
     reference: tuple[Path, ...]
     name: str
-    trials: tuple[Table, ...]
+    files: tuple[Path, ...]
     cause: frozenset[str] = frozenset()
     allowed: frozenset[str] = frozenset()
+    change: Callable[[Table], Table] = lambda trial: trial
+
+    @property
+    def trials(self) -> tuple[Table, ...]:
+        """Recordings with the change in them, read anew."""
+        return tuple(self.change(read(path)) for path in self.files)
 
 
 def _files(pattern: str) -> tuple[Path, ...]:
     return tuple(sorted(DATA.glob(pattern)))
-
-
-def _read(pattern: str) -> tuple[Table, ...]:
-    return tuple(read(path) for path in _files(pattern))
 
 
 def _rubs(given: Table, share: float) -> Table:
@@ -74,22 +77,22 @@ def heavier(given: Table, mass_kg: float) -> Table:
 def cases() -> list[RigCase]:
     """Return every case, the pairs of a kind in turns: one for development, one set aside."""
     seal, same = "pneumatic_seal/", _files("pneumatic_seal/oring257_*_fit*") + _files("pneumatic_seal/oring257_*_hold*")
-    made = [RigCase("seal", _files(f"{seal}{a}_*"), f"{a} → {b}", _read(f"{seal}{b}_*"), FRICTION, FRICTION)
+    made = [RigCase("seal", _files(f"{seal}{a}_*"), f"{a} → {b}", _files(f"{seal}{b}_*"), FRICTION, FRICTION)
             for a, b in (("circle", "napn"), ("napn", "circle"), ("napn", "pk"), ("pk", "napn"), ("circle", "pk"),
                          ("pk", "circle"))]
-    again = {name: _read(f"{seal}oring257_{name}_*") for name in SESSIONS}
-    made += [RigCase("repeat", same, f"oring → {name}", trials) for name, trials in again.items()]
-    made += [RigCase("seal", same, f"oring {name} × {share}", tuple(_rubs(t, share) for t in again[name]), FRICTION,
-                     FRICTION)
+    again = {name: _files(f"{seal}oring257_{name}_*") for name in SESSIONS}
+    made += [RigCase("repeat", same, f"oring → {name}", files) for name, files in again.items()]
+    made += [RigCase("seal", same, f"oring {name} × {share}", again[name], FRICTION, FRICTION,
+                     partial(_rubs, share=share))
              for share in (0.5, 2.0, 0.7, 1.4, 3.0) for name in ("rerun3", "reconnected2")]
-    gains = {gain: (_files(f"servo_pendulum/{gain}*"), _read(f"servo_pendulum/{gain}*")) for gain in ("kp200", "kp400")}
+    gains = {gain: _files(f"servo_pendulum/{gain}*") for gain in ("kp200", "kp400")}
     for own, other in (("kp200", "kp400"), ("kp400", "kp200")):
-        made.append(RigCase("repeat", gains[own][0], f"{own} → {other}", gains[other][1]))
-        made += [RigCase("mass", gains[own][0], f"{own} → {other} + {mass} kg",
-                         tuple(heavier(t, mass) for t in gains[other][1]), frozenset({"unbalance"}), MASS)
+        made.append(RigCase("repeat", gains[own], f"{own} → {other}", gains[other]))
+        made += [RigCase("mass", gains[own], f"{own} → {other} + {mass} kg",
+                         gains[other], frozenset({"unbalance"}), MASS, partial(heavier, mass_kg=mass))
                  for mass in (0.1, 0.2, 0.4)]
-    made.append(RigCase("repeat", _files("cable_drive/fit/*"), "cable drive", _read("cable_drive/check/*")))
-    made.append(RigCase("repeat", _files("tribometer/fit*"), "tribometer", _read("tribometer/holdout*")))
+    made.append(RigCase("repeat", _files("cable_drive/fit/*"), "cable drive", _files("cable_drive/check/*")))
+    made.append(RigCase("repeat", _files("tribometer/fit*"), "tribometer", _files("tribometer/holdout*")))
     return made
 
 
@@ -137,10 +140,10 @@ def _asked(finder: EvidenceFinder, case: RigCase) -> tuple[bool, bool]:
     wrong = bool(named - case.allowed)
     right = (bool(named & case.cause) and not wrong) if case.cause else found.verdict == "none"
     best = next(iter((found.evidence or {}).get("log_bayes_factors", {}).items()), ("", 0.0))
-    error = (found.evidence or {}).get("error_n", {})
+    errors = (found.evidence or {}).get("error_n", {})
     print(f"{case.kind:7} {case.name:28} {'right' if right else 'WRONG' if wrong else 'missed':6} {found.verdict:11} "
           f"{', '.join(found.rivals):40} {best[0]} {best[1]:.1f} nats; "
-          + " → ".join(f"{error.get(n, 0.0):.3g}" for n in ("reference", "before", "after")), flush=True)
+          + " → ".join(f"{errors.get(n, 0.0):.3g}" for n in ("reference", "before", "after")), flush=True)
     return right, wrong
 
 
