@@ -1,13 +1,14 @@
 """Runs the matrix: `python -m tests.faults.run [--rows PATTERN] [--walks PATTERN] [--moments …] [--kind KIND]
-[--gait …] [--cover | --all] [--every N] [--stealth] [--page FILE] [--json FILE] [--jobs N]`.
+[--gait …] [--cover | --all] [--every N] [--stealth] [--page FILE] [--kept FILE] [--jobs N]`.
 
-The rule of this file: it prints every row and says at the end which bounds are not kept; its exit status is their
-number, at most 1.
+It prints every row and says at the end which bounds are not kept; its exit status is 1 if there are any. With `--kept`
+an interrupted run goes on.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import re
 import signal
@@ -37,18 +38,28 @@ def line(verdict: Verdict) -> str:
             f"{'; '.join(v.faults) + ': ' if v.faults else ''}{v.said[:170]}")
 
 
-def verdicts(pattern: str = "", jobs: int = 2, moments: tuple[str, ...] = (), walks: str = "",
-             kind: str = "all", gait: Walk | None = None) -> list[Verdict]:
-    """Run the rows of a kind (`KINDS`) whose name matches, at their own moments and gaits or at those given."""
+def own(pattern: str, moments: tuple[str, ...], kind: str, gait: Walk | None) -> dict[Walk, list[Row]]:
+    """Return the rows of a kind (`KINDS`) whose name matches, by walk, at their own moments and gaits or those given."""
     rows = [row for row in ROWS if re.search(pattern, row.name) and row.gradual in KINDS[kind]]
     if gait is not None:
         rows = [replace(row, moments=moments or row.moments, walks=(gait,), named=()) for row in rows]
     elif moments:
         rows = [replace(row, moments=tuple(m for m in row.moments if m in moments)) for row in rows]
-    by_walk = {walk: [row for row in rows if walk in row.walks]
-               for walk in dict.fromkeys(walk for row in rows for walk in row.walks) if re.search(walks, str(walk))}
-    order = {row.name: i for i, row in enumerate(rows)}
-    return sorted(ran(by_walk, jobs), key=lambda verdict: order[verdict.name])
+    walks = dict.fromkeys(walk for row in rows for walk in row.walks)
+    return {walk: [row for row in rows if walk in row.walks] for walk in walks}
+
+
+def left(by_walk: Mapping[Walk, Sequence[Row]], done: Sequence[Verdict], walks: str) -> dict[Walk, list[Row]]:
+    """Return the runs of the walks that match which are not among those done; a walk without any is left out."""
+    keys = {(verdict.name, verdict.walk, verdict.moment) for verdict in done}
+    found: dict[Walk, list[Row]] = {}
+    for walk, rows in by_walk.items():
+        for row in rows if re.search(walks, str(walk)) else ():
+            at = tuple(moment for moment in row.moments if (row.name, str(walk), moment) not in keys
+                       and (not walk.moments or moment in walk.moments))
+            if at:
+                found.setdefault(walk, []).append(replace(row, moments=at))
+    return found
 
 
 def ran(by_walk: Mapping[Walk, Sequence[Row]], jobs: int) -> Iterator[Verdict]:
@@ -75,30 +86,30 @@ def main() -> int:
     asked.add_argument("--all", action="store_true", help="the whole product of moments, gaits and benches, too")
     asked.add_argument("--every", type=int, default=1, help="one run in so many of the sample")
     asked.add_argument("--page", type=Path)
-    asked.add_argument("--json", type=Path)
+    asked.add_argument("--kept", type=Path, help="verdicts, a line of JSON each; runs that are in it are not run again")
     asked.add_argument("--jobs", type=int, default=2)
     given = asked.parse_args()
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):  # a shell's background job ignores some of them
         signal.signal(getattr(signal, name), signal.SIG_DFL)
     unsaid = stealth.table(stealth.found(given.jobs)) if given.stealth else []
     print("\n".join(unsaid))
-    found = [] if given.cover else verdicts(given.rows, given.jobs, tuple(given.moments), given.walks, given.kind,
-                                                 given.gait and Walk(float(given.gait[1]), given.gait[0], 1))
-    print(HEAD)
-    for verdict in found:
-        print(line(verdict))
+    lines = given.kept.read_text(encoding="utf-8").splitlines() if given.kept and given.kept.exists() else []
+    found = [Verdict(**(row | {"faults": tuple(row["faults"])})) for row in map(json.loads, lines)]
+    gait = given.gait and Walk(float(given.gait[1]), given.gait[0], 1)
+    turns = [] if given.cover else [own(given.rows, tuple(given.moments), given.kind, gait)]
     if given.cover or given.all:
         sampled = cover.matching(cover.sample(ROWS, whole=given.all), given.rows, given.walks)
-        for verdict in ran(cover.thinned(sampled, given.every), given.jobs):
-            print(line(verdict), flush=True)
-            found.append(verdict)
-            if given.json:
-                given.json.write_text(json.dumps([one._asdict() for one in found]), encoding="utf-8")
+        turns.append(cover.thinned(sampled, given.every))
+    print(HEAD)
+    for verdict in itertools.chain.from_iterable(ran(left(turn, found, given.walks), given.jobs) for turn in turns):
+        print(line(verdict), flush=True)
+        found.append(verdict)
+        if given.kept:
+            with given.kept.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(verdict._asdict()) + "\n")
     broken = [verdict for verdict in found if verdict.faults]
     rows = len({verdict.name for verdict in found})
     print(f"{rows} faults, {len(found)} rows with their moments, {len(broken)} beyond a bound.")
-    if given.json:
-        given.json.write_text(json.dumps([verdict._asdict() for verdict in found], indent=1), encoding="utf-8")
     if given.page:
         write(given.page, found, unsaid)
     return int(bool(broken))

@@ -35,12 +35,11 @@ GAITS = "^paper|^friction, 2|^extended, 2"
 
 def matrix(tmp_path: Path, *arguments: str) -> list[dict[str, Any]]:
     """Run rows in a process of their own, which has one thread and may be forked."""
-    path = tmp_path / "told.json"
-    run = subprocess.run([sys.executable, "-m", "tests.faults.run", "--json", str(path), *arguments], cwd=ROOT,
+    path = tmp_path / "told.jsonl"
+    run = subprocess.run([sys.executable, "-m", "tests.faults.run", "--kept", str(path), *arguments], cwd=ROOT,
                          capture_output=True, text=True, check=False)
     assert path.exists(), run.stdout + run.stderr
-    told: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
-    return told
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
 def test_the_matrix_has_a_hundred_rows_and_each_its_own_name() -> None:
