@@ -13,17 +13,19 @@ from eds.cia301 import HEARTBEAT_BASE, Emcy, Frame, NmtState
 from safety_monitor.person import Bounds
 
 MS: Final = 1_000_000
-STEP_NS: Final = 1 * MS
-"""Time between two steps. Longer: a stage that conducts pulls for longer before it is noticed."""
-WINDOW: Final = 3
+STEP_NS: Final = MS // 4
+"""Time between two steps. Longer: a stage that conducts is noticed later; each ms of it adds 10 to 15 N at END."""
+WINDOW: Final = 12
 """Steps over which force rate and knee speed are taken. Fewer: the quantisation of the sensors counts as speed
 (0.022 degrees in 3 ms are 7 degrees/s). More: a stage that conducts is noticed later."""
 LOOK_AHEAD_S: Final = 0.03
 """Time by which the knee's angle is extrapolated at its speed, s: six times the STO delay that is assumed. Shorter:
 the leg is faster where it meets its end stop. Longer: a gait that nears the end of its range trips."""
+ROPE_SPAN: Final = 4
+"""Steps between the two speeds of the rope that give its acceleration. Fewer: quantisation counts as speed (46 mm/s)."""
 ROPE_AHEAD: Final = 6
-"""Steps by which the rope's speed is extrapolated at its acceleration: one step, and the STO delay that is assumed.
-Fewer: a stage that conducts gives the drum 80 m/s² more for each. More: quantisation counts as speed (54 mm/s)."""
+"""Spans by which the rope's speed is extrapolated at its acceleration: a span, and the STO delay that is assumed.
+Fewer: a stage that conducts gives the drum 80 mm/s more for each. More: a healthy start of the rope trips."""
 LATE_NS: Final = 20 * MS
 """Time between two steps from which on the monitor's own computer counts as stopped."""
 
@@ -37,6 +39,9 @@ class PathInputs(NamedTuple):
     rope_m: float
 
 
+Sample = tuple[int, tuple[PathInputs, ...]]  # time of a step, ns, and the inputs of each force path then
+
+
 class Heartbeat(NamedTuple):
     """The last heartbeat of a node: its time, and the NMT state in it."""
 
@@ -48,12 +53,12 @@ class Heartbeat(NamedTuple):
 class MonitorState(NamedTuple):
     """Memory of the monitor between two steps; the default is that at power-on.
 
-    `history` has the inputs of the last `WINDOW` steps, oldest first. `cause` is None while the line is closed.
+    `history` has time and inputs of the last `WINDOW` steps, oldest first. `cause` is None while the line is closed.
     `working_ns` is the time since which a drive is OPERATIONAL, -1 if none is.
     """
 
     time_ns: int = -1
-    history: tuple[tuple[PathInputs, ...], ...] = ()
+    history: tuple[Sample, ...] = ()
     heard: tuple[Heartbeat, ...] = ()
     working_ns: int = -1
     cause: Emcy | None = None
@@ -66,17 +71,19 @@ class MonitorState(NamedTuple):
 
 
 class Present(NamedTuple):
-    """One step as the checks see it: the state before it, its time, and the paths from `WINDOW` steps ago until now."""
+    """One step as the checks see it: the state before it, its sample, and those from `WINDOW` steps ago until now."""
 
     state: MonitorState
     time_ns: int
-    course: tuple[tuple[PathInputs, ...], ...]
+    paths: tuple[PathInputs, ...]
+    course: tuple[Sample, ...]
     watched: tuple[int, ...]
 
     def rates(self, place: int, first: int = 0, last: int = WINDOW) -> list[float]:
         """Return the rate of the input at `place` in each path, per second, from one step of the course to another."""
-        return [(now[place] - was[place]) / ((last - first) * STEP_NS * 1e-9)
-                for was, now in zip(self.course[first], self.course[last], strict=True)]
+        (began_ns, before), (ended_ns, after) = self.course[first], self.course[last]
+        per_s = 1e9 / (ended_ns - began_ns)
+        return [(now[place] - was[place]) * per_s for was, now in zip(before, after, strict=True)]
 
 
 class Check(NamedTuple):
@@ -92,35 +99,23 @@ def _above(what: str, values: Iterable[float], bound: float, unit: str) -> str:
     return next((f"{what} {value:.4g} {unit}, bound {bound:g} {unit}" for value in values if not value <= bound), "")
 
 
-def _start(present: Present, bounds: Bounds) -> str:
-    return _above("START", (abs(path.start_n) for path in present.course[-1]), bounds.start_n, "N")
-
-
-def _end(present: Present, bounds: Bounds) -> str:
-    return _above("END", (abs(path.end_n) for path in present.course[-1]), bounds.end_n, "N")
-
-
 def _force_rate(present: Present, bounds: Bounds) -> str:
     return _above("a tension rises at", (*present.rates(0), *present.rates(1)), bounds.force_rate_n_s, "N/s")
 
 
 def _rope_speed(present: Present, bounds: Bounds) -> str:
-    ahead = (now + (now - was) * ROPE_AHEAD / (WINDOW - 1)
-             for was, now in zip(present.rates(3, 0, 1), present.rates(3, WINDOW - 1), strict=True))
+    before = present.rates(3, WINDOW - 1 - ROPE_SPAN, WINDOW - ROPE_SPAN)
+    ahead = (now + (now - was) * ROPE_AHEAD for was, now in zip(before, present.rates(3, WINDOW - 1), strict=True))
     return _above("rope about to wind in at", ahead, bounds.rope_m_s, "m/s")
 
 
 def _angle(present: Present, bounds: Bounds) -> str:
-    for path, speed in zip(present.course[-1], present.rates(2), strict=True):
+    for path, speed in zip(present.paths, present.rates(2), strict=True):
         ahead = path.knee_deg + speed * LOOK_AHEAD_S
         if not (bounds.knee_low_deg <= min(path.knee_deg, ahead) and max(path.knee_deg, ahead) <= bounds.knee_high_deg):
             return (f"knee {path.knee_deg:.4g} degrees at {speed:.4g} degrees/s, bounds {bounds.knee_low_deg:g} and "
                     f"{bounds.knee_high_deg:g} degrees")
     return ""
-
-
-def _speed(present: Present, bounds: Bounds) -> str:
-    return _above("knee speed", map(abs, present.rates(2)), bounds.knee_deg_s, "degrees/s")
 
 
 def _heartbeats(present: Present, bounds: Bounds) -> str:
@@ -142,15 +137,18 @@ def _own_time(present: Present, bounds: Bounds) -> str:
 
 
 CHECKS: Final = (
-    Check("tension at START", Emcy.MONITOR_START, _start),
-    Check("tension at END", Emcy.MONITOR_END, _end),
+    Check("the monitor's own steps", Emcy.MONITOR_OWN, _own_time),
+    Check("tension at START", Emcy.MONITOR_START, lambda present, bounds: _above(
+        "START", (abs(path.start_n) for path in present.paths), bounds.start_n, "N")),
+    Check("tension at END", Emcy.MONITOR_END, lambda present, bounds: _above(
+        "END", (abs(path.end_n) for path in present.paths), bounds.end_n, "N")),
     Check("rise of a tension", Emcy.MONITOR_FORCE_RATE, _force_rate),
     Check("speed of the rope", Emcy.MONITOR_ROPE, _rope_speed),
     Check("angle of the knee", Emcy.MONITOR_ANGLE, _angle),
-    Check("speed of the knee", Emcy.MONITOR_SPEED, _speed),
+    Check("speed of the knee", Emcy.MONITOR_SPEED, lambda present, bounds: _above(
+        "knee speed", map(abs, present.rates(2)), bounds.knee_deg_s, "degrees/s")),
     Check("heartbeats of master and drives", Emcy.MONITOR_HEARTBEAT, _heartbeats),
     Check("time of a trial", Emcy.MONITOR_TRIAL_TIME, _trial_time),
-    Check("the monitor's own steps", Emcy.MONITOR_OWN, _own_time),
 )
 """In the order in which they are checked; the first that is broken is reported."""
 
@@ -174,8 +172,8 @@ def step(state: MonitorState, bounds: Bounds, master: int, drives: Sequence[int]
     at_work = any(beat.node in drives and beat.state == NmtState.OPERATIONAL for beat in heard)
     working_ns = -1 if not at_work else state.working_ns if state.working_ns >= 0 else time_ns
     state = state._replace(heard=heard, working_ns=working_ns)
-    course = (*(state.history or (now,) * WINDOW), now)
-    present = Present(state, time_ns, course, watched)
+    course = (*(state.history or ((time_ns - n * STEP_NS, now) for n in range(WINDOW, 0, -1))), (time_ns, now))
+    present = Present(state, time_ns, now, course, watched)
     broken = next(((check.code, text) for check in CHECKS if (text := check.breach(present, bounds))), None)
     state = state._replace(time_ns=time_ns, history=course[-WINDOW:])
     return state if broken is None else state._replace(cause=broken[0], text=broken[1])

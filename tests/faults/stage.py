@@ -111,7 +111,7 @@ class Scene(NamedTuple):
         fault = Fault(kind, start_s=now_s, stop_s=now_s + for_s, **fields)
         bench = self.bench
         if kind in OF_A_FRAME | OF_TIME:
-            bench.wire._judge = InjectedFaults([fault], SEED)  # the trial began with faults that let everything pass
+            bench.wire._judge = InjectedFaults([fault], SEED)
         elif kind in OF_A_NODE | {"babble"}:
             outages.arrange(bench.kernel, lambda: bench.medium, (bench.host, *bench.nodes.values()), [fault],
                             bench.wire.bit_ns)
@@ -241,6 +241,7 @@ class _Stage:
         before = len(plants.made)
         with plants.in_place():
             bus = BowdenBus(channel, **options)
+        bus.bench.wire._judge = None  # declared faults make a bench run event by event; none of them is judged
         tap = BowdenBus(channel)
         self.by_hand = not motion.network.bench.joints[0].driven_by
         sink = Sink(self.walk, motion.at)

@@ -80,14 +80,14 @@ def test_rates_are_bounded_over_their_window_and_a_falling_tension_is_not() -> N
 
 def test_the_rope_is_bounded_ahead_of_a_drum_that_gains_speed_and_may_pay_out_faster() -> None:
     per_step = 1e-9 * STEP_NS
-    wound = np.cumsum(np.minimum(np.arange(100) / 50.0, 1.0)) * 0.8 * BOUNDS.rope_m_s * per_step
+    wound = np.cumsum(np.minimum(np.arange(400) / 200.0, 1.0)) * 0.8 * BOUNDS.rope_m_s * per_step
     assert run([REST._replace(rope_m=rope) for rope in wound]).enabled
     assert run([REST._replace(rope_m=-3.0 * rope) for rope in wound]).enabled
     assert run([REST._replace(rope_m=1.3 * rope) for rope in wound]).cause is Emcy.MONITOR_ROPE
-    falling = [REST._replace(rope_m=0.5 * 80.0 * (per_step * n) ** 2) for n in range(20)]
+    falling = [REST._replace(rope_m=0.5 * 80.0 * (per_step * n) ** 2) for n in range(80)]
     stopped = run(falling)
     assert stopped.cause is Emcy.MONITOR_ROPE
-    assert stopped.time_ns <= 6 * STEP_NS, "before the drum is at 0.5 m/s when the torque goes, 5 ms later"
+    assert stopped.time_ns <= 1_500_000, "before the drum is at 0.5 m/s when the torque goes, 5 ms later"
 
 
 def test_the_angle_is_bounded_ahead_of_a_leg_that_moves_towards_its_end() -> None:
@@ -96,11 +96,11 @@ def test_the_angle_is_bounded_ahead_of_a_leg_that_moves_towards_its_end() -> Non
             for n in range(2 * WINDOW)]
     stopped = run(fast)
     assert stopped.cause is Emcy.MONITOR_ANGLE
-    assert stopped.history[-1][0].knee_deg < BOUNDS.knee_high_deg
+    assert stopped.history[-1][1][0].knee_deg < BOUNDS.knee_high_deg
 
 
 def test_heartbeats_are_watched_while_a_drive_is_operational() -> None:
-    late = round(BOUNDS.heartbeat_ms) + 2
+    late = round(1e6 * BOUNDS.heartbeat_ms / STEP_NS) + 2
     assert run([REST] * late).enabled, "a bench without a master keeps its line closed"
     state = run([REST] * 10, frames=AT_WORK)
     assert run([REST] * late, state).cause is Emcy.MONITOR_HEARTBEAT

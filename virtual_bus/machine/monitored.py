@@ -22,8 +22,8 @@ CELL_N: Final = 200.0 / 4096
 ANGLE_DEG: Final = 360.0 / 16384
 """Quantisation step of a second angle sensor, degrees: 14 bits of a turn; assumed."""
 
-ROPE_M: Final = 2.0 * math.pi * 0.02 / 16384
-"""Quantisation step of a second encoder at the drum, m of rope: 14 bits of a turn; assumed."""
+ROPE_M: Final = 2.0 * math.pi * 0.02 / 131072
+"""Quantisation step of a second encoder at the drum, m of rope: 17 bits of a turn; assumed."""
 
 
 class SensedPath(NamedTuple):

@@ -184,7 +184,7 @@ class Wire:
             self._last(bits + TO_CRC_ERROR_BITS + ERROR_FRAME_BITS, error=heard)
         else:
             self._heard = heard
-            self._last(bits if heard is None else frame_bits(heard), error=None)
+            self._last(bits if heard is None or heard is frame else frame_bits(heard), error=None)
 
     def _last(self, bits: int, error: ErrorKind | None) -> None:
         self.busy_bits += bits + INTERMISSION_BITS
