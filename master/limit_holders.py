@@ -21,7 +21,6 @@ from master.network.drive_limits import (
     SPEED,
     TENSION,
     TORQUE,
-    UNHELD_SHARE,
     DriveLimit,
     drive_limits,
     in_words,
@@ -75,12 +74,11 @@ def _of_path(
     bench = wire.network.bench
     own, node = by_path(limits, bench)[path.name], bench.named(path.actuator).node_id
     mine = held[node]
-    tension, torque = in_words(mine, TENSION), in_words(mine, TORQUE)
-    without = tension or (torque and f"{torque}: {UNHELD_SHARE * own.start_n:g} N, which swings to twice that")
+    tension = in_words(mine, TENSION)
     yield HeldLimit("START tension", path.name, tension, f"{own.start_n:g} N")
-    yield HeldLimit("START tension without the master", path.name, without)
+    yield HeldLimit("START tension without the master", path.name, tension)
     yield HeldLimit("END tension", path.name, "", f"{own.end_n:g} N" if path.end else f"{own.start_n:g} N at START")
-    yield HeldLimit("torque of the rope drive", path.name, torque)
+    yield HeldLimit("torque of the rope drive", path.name, in_words(mine, TORQUE))
     yield HeldLimit("rope speed", path.name, in_words(mine, SPEED), f"{own.rope_m_s:g} m/s")
     yield HeldLimit("rope position", path.name, in_words(mine, RANGE), f"± {REACH_M:g} m of plausible reading")
     yield HeldLimit("rope following error", path.name, in_words(mine, FOLLOWING), "against the answer of the loop")

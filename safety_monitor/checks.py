@@ -22,7 +22,8 @@ LOOK_AHEAD_S: Final = 0.03
 """Time by which the knee's angle is extrapolated at its speed, s: six times the STO delay that is assumed. Shorter:
 the leg is faster where it meets its end stop. Longer: a gait that nears the end of its range trips."""
 ROPE_SPAN: Final = 4
-"""Steps between the two speeds of the rope that give its acceleration. Fewer: quantisation counts as speed (46 mm/s)."""
+"""Steps between the two speeds of the rope that give its acceleration. Fewer: quantisation counts as speed (46 mm/s).
+More: a stage that conducts is noticed later."""
 ROPE_AHEAD: Final = 6
 """Spans by which the rope's speed is extrapolated at its acceleration: a span, and the STO delay that is assumed.
 Fewer: a stage that conducts gives the drum 80 mm/s more for each. More: a healthy start of the rope trips."""

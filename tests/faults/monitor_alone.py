@@ -1,5 +1,5 @@
 """The matrix with the safety monitor: `python -m tests.faults.monitor_alone [--guards alone master both] [--drive …]
-[--rows PATTERN] [--moments …] [--every N] [--csv FILE] [--page FILE] [--healthy N]`. A run replaces its own runs in the
+[--rows PATTERN] [--moments …] [--gait WORDS] [--every N] [--csv FILE] [--page FILE] [--healthy N]`. A run replaces its own runs in the
 CSV and keeps the others.
 
 Supervisions of one fault: the monitor alone (the master's checks are switched off here, in this process; the product
@@ -175,15 +175,15 @@ def ran(rows: Mapping[Walk, Sequence[Row]], guard: str, drive: str, person: Path
             yield supervised(by_name[told.name], told, guard, drive, walk, bounds)
 
 
-def chosen(pattern: str, moments: Sequence[str], every: int) -> dict[Walk, list[Row]]:
+def chosen(pattern: str, moments: Sequence[str], every: int, gait: str = "") -> dict[Walk, list[Row]]:
     """Return the rows that match, at these moments or their own, one in `every` of the runs, by the walk they break.
 
-    A slow fault is run in its shortest gait alone: what the monitor sees of it is where it ends.
+    A slow fault is run in one gait alone, its shortest or the first of its walks that has the words of `gait`.
     """
     count = itertools.count()
     found: dict[Walk, list[Row]] = {}
     for row in ROWS:
-        walk = row.walks[0]
+        walk = next((walk for walk in row.walks if gait in str(walk)), row.walks[0])
         own = walk.moments or row.moments
         at = tuple(m for m in own if (not moments or m in moments or m == "start") and next(count) % every == 0)
         if at and re.search(pattern, row.name):
@@ -280,6 +280,7 @@ def main() -> int:
     asked.add_argument("--rows", default="")
     asked.add_argument("--moments", nargs="*", default=())
     asked.add_argument("--every", type=int, default=1, help="one run in so many")
+    asked.add_argument("--gait", default="", help="words of a slow fault's gait: extended, 2 s")
     asked.add_argument("--person", type=Path, default=safety_monitor.packaged())
     asked.add_argument("--csv", type=Path)
     asked.add_argument("--page", type=Path)
@@ -292,7 +293,7 @@ def main() -> int:
         return int(bool(healthy(given.healthy)))
     turns = list(itertools.product(given.drive, given.guards))
     found = kept(given.csv)
-    rows = chosen(given.rows, given.moments, given.every)
+    rows = chosen(given.rows, given.moments, given.every, given.gait)
     for drive, guard in turns:
         for row in ran(beyond(rows, found, drive) if guard == "link" else rows, guard, drive, given.person, given.jobs):
             found.append(row)

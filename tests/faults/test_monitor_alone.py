@@ -23,10 +23,11 @@ def test_the_monitor_alone_keeps_the_limb_within_its_bounds(drive: str) -> None:
 
 
 @pytest.mark.faults
-def test_a_creep_that_two_encoders_share_ends_at_the_persons_range() -> None:
+@pytest.mark.parametrize(("creep", "gait"), [("2°/s", "paper, 1.1 s"), ("− 2°/s", "extended, 2 s")])
+def test_a_creep_that_two_encoders_share_ends_at_the_persons_range(creep: str, gait: str) -> None:
     """The master's signals agree with each other, so it concludes nothing; the monitor has a knee angle of its own."""
     run = subprocess.run(
-        [sys.executable, "-m", "tests.faults.monitor_alone", "--guards", "both", "--moments", "idle",
-         "--rows", "creep in agreement by 2°/s$"], cwd=ROOT, capture_output=True, text=True, check=False)
+        [sys.executable, "-m", "tests.faults.monitor_alone", "--guards", "both", "--moments", "idle", "--gait", gait,
+         "--rows", f"creep in agreement by {creep}$"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout + run.stderr
     assert "monitor: knee angle beyond its bounds" in run.stdout

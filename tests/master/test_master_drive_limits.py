@@ -87,15 +87,23 @@ def test_a_bought_drive_without_a_tension_limit_is_bounded_by_its_torque(bought:
     assert key(0x2012) not in described.nodes[SERVO].dictionary.entries
     limits = {limit.index: limit.value for limit in drive_limits(described, Limits())[SERVO]}
     assert limits[0x6072] == 600  # 1.2 N·m at 20 mm are 60 N, which swing to 120 N
-    row = next(row for row in holders(described, Limits()) if row.function == "START tension without the master")
-    assert row.held_by == "drive"
-    assert "60 N, which swings to twice that" in row.drive
 
 
 def test_a_limit_that_nobody_holds_needs_a_reason_or_a_monitor(
     bought: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A drive without torque limits, too: with the master lost nothing holds START."""
+    """With the master lost no drive watches START; a stock servo without torque limits has two such functions."""
+    assert command_line(["check", "config", str(bought)]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "held by" in said
+    assert "nobody holds START tension without the master of leg; commands ask for --raise-limits REASON." in said
+    bought.write_text(bought_drive.TABLE + '[limits]\nraised = "a weak link parts at 80 N"\n')
+    assert command_line(["check", "config", str(bought)]) == 0
+    assert "of leg; reason: a weak link parts at 80 N." in capsys.readouterr().out
+    bought.write_text(bought_drive.TABLE + '[monitor]\nfile = "packaged"\n')
+    assert command_line(["check", "config", str(bought)]) == 0
+    assert "nobody holds" not in capsys.readouterr().out
+    bought.write_text(bought_drive.TABLE)
     eds = bought.with_name(bought_drive.NAME)
     text = eds.read_text(encoding="latin-1")
     for index in ("6072", "60E0", "60E1"):
