@@ -13,6 +13,7 @@ from eds.dictionary import key
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs
 from master.cycle.shared_exchange import Answer, Running, Work, together
+from master.network.acknowledge import RELEASE
 from master.network.bringup import BringUpError
 from master.network.sdo import SdoError
 
@@ -20,8 +21,6 @@ PATIENCE_NS = 2_000_000_000
 RESEND_NS = 20_000_000
 _ERROR_CODE, _MODE, _MODE_SHOWN, _HOME_OFFSET, _HOMING_METHOD = 0x603F, 0x6060, 0x6061, 0x607C, 0x6098
 _OPERATE = 0x000F
-RELEASE = 0x2020
-"""Manufacturer object through which the operator releases a drive after an emergency stop (statusword bit 8)."""
 
 
 def enable(exchange: Running) -> None:
@@ -54,9 +53,9 @@ def disable(exchange: Running, patience_ns: int = PATIENCE_NS) -> None:
             raise BringUpError(_not_there(path, path.inputs, off))
 
 
-def _drive_to(exchange: Exchange, goals: tuple[State, State], patience_ns: int = PATIENCE_NS) -> Inputs:
+def _drive_to(exchange: Exchange, goals: tuple[State, State]) -> Inputs:
     """Take the drives of one path to their goals; raises `BringUpError` where one does not follow."""
-    if not together(exchange, [_driving(exchange, goals, patience_ns)])[0]:
+    if not together(exchange, [_driving(exchange, goals, PATIENCE_NS)])[0]:
         raise BringUpError(_not_there(exchange, exchange.inputs, goals))
     return exchange.inputs
 

@@ -39,16 +39,114 @@ NEEDED = 0b0111
 """Bits of the inputs that a control cycle needs: without them it holds the last targets. END is not among them."""
 
 
-class Exchange:
+class SyncCycle:
+    """Reception of one SYNC after another, and of the PDOs that answer it, for the force paths in `paths`.
+
+    `budget_ns` is the time after a SYNC at which its inputs must have arrived.
+    """
+
+    paths: Sequence[Exchange] = ()
+
+    def __init__(self, link: Link, wire: WireLayout, log: Log, budget_ns: int) -> None:
+        self.link, self.wire, self.log = link, wire, log
+        self._budget_ns, self._early_ns = budget_ns, -1
+        self._hearing: dict[int, list[Exchange]] = {}
+
+    def _run_paths(self) -> None:
+        """Hand what is received to the paths, each its own inputs and observers."""
+        self._patience_ns = self.paths[0].guard.limits.stale_cycles * self.wire.period_ns
+        for path in self.paths:
+            for can_id in path.heard:
+                self._hearing.setdefault(can_id, []).append(path)
+
+    @property
+    def guards(self) -> tuple[Guard, ...]:
+        """The guards of all paths."""
+        return tuple(path.guard for path in self.paths)
+
+    def forget_misses(self) -> None:
+        """Set every path's counters of missed inputs and outputs to 0."""
+        for path in self.paths:
+            path.missed_cycles = path.stale_inputs = 0
+
+    def begin(self) -> None:
+        """Wait for a first SYNC and its inputs; an SDO's wait runs control cycles from here on."""
+        sync_ns = self._await_sync()
+        if sync_ns < 0:
+            self.link.sync_pace(self.wire.period_ns)
+            self.log.event(self.link.clock(), "warning", "master", UNSEEN)
+            sync_ns = self._await_sync()
+        self.log.drain()
+        self.link.pump = lambda _deadline_ns: self.hold()
+        for path in self.paths:
+            path.first_ns = sync_ns
+        self._latch(sync_ns)
+        for path in self.paths:
+            path.begun()
+
+    def end(self) -> None:
+        """End the cyclic exchange: SDO transfers wait by receiving again."""
+        self.link.pump = self.link.receive
+        self.log.drain()
+
+    def hold(self) -> Any:
+        """Run one cycle with the targets of the last one."""
+        raise NotImplementedError
+
+    def _latch(self, sync_ns: int) -> Any:
+        """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety."""
+        raise NotImplementedError
+
+    def _await_sync(self) -> int:
+        """Return the time stamp of the next SYNC, −1 after the patience; TPDOs that come before it are stored as late."""
+        early, self._early_ns = self._early_ns, -1
+        if early >= 0:
+            return early
+        receive, hearing = self.link.receive, self._hearing
+        deadline = self.link.clock() + self._patience_ns
+        while (message := receive(deadline)) is not None:
+            if message.arbitration_id == SYNC_COB_ID:
+                if not self.paths[0].repeats(stamp_ns(message)):
+                    return stamp_ns(message)
+            else:
+                for path in hearing.get(message.arbitration_id, ()):
+                    path.hear_late(message)
+        return -1
+
+    def _in_time(self, sync_ns: int, sent: bool) -> bool:
+        """Return whether targets that were `sent` were on the bus before the SYNC that ended their cycle."""
+        return sent and (not self.log.taps or self.paths[0].inputs.sync_ns <= self.log.target_stamp_ns <= sync_ns)
+
+    def _refuse_silence(self, sync_ns: int) -> None:
+        """Raise `StopError` where no SYNC has come."""
+        if sync_ns < 0:
+            self.paths[0].guard.heed_strangers()
+            raise StopError(Condition.SYNC_LOST, NO_SYNC.format(self._patience_ns / 1e6))
+
+    def _collect(self, sync_ns: int) -> None:
+        """Receive the PDOs of one SYNC that are absent, until its deadline."""
+        receive, hearing, paths = self.link.receive, self._hearing, self.paths
+        deadline = sync_ns + self._budget_ns
+        while any(path.absent for path in paths) and (message := receive(deadline)) is not None:
+            if message.arbitration_id != SYNC_COB_ID:
+                for path in hearing.get(message.arbitration_id, ()):
+                    path.hear(message, sync_ns)
+            elif (stamp := stamp_ns(message)) - sync_ns > self.wire.period_ns // 2:
+                self._early_ns = stamp
+                break
+            else:
+                paths[0].note_repeated(stamp)
+
+
+class Exchange(SyncCycle):
     """The running cycle over a link; SYNC must have been started.
 
     `missed_cycles` counts cycles with inputs or targets too late, `stale_inputs` the PDOs older than a cycle at a
-    step. `budget_ns` is the time after a SYNC at which its inputs must have arrived. `name` is the source of this
-    path's events: the force path's name if there are several. `own` is the number of the controller's further
-    columns, `told` whether this cycle's row is recorded. `annotations` are a row's entries by the controller, unless
-    `advance` receives others. `kept`, if it is a list, gets each complete cycle. `paths` are the force paths that the
-    cycle runs, each with this interface; here itself alone. `rehoming`: the servo's position is about to get another
-    zero; `rehomed` ends that.
+    step. `name` is the source of this path's events: the force path's name if there are several. `own` is the number of
+    the controller's further columns, `told` whether this cycle's row is recorded. `annotations` are a row's entries by
+    the controller, unless `advance` receives others. `kept`, if it is a list, gets each complete cycle. `paths` are the
+    force paths that the cycle runs, each with this interface; here itself alone. `rehoming`: the servo's position is
+    about to get another zero; `rehomed` ends that. `absent` has the bits of the inputs of this SYNC that have not come.
     """
 
     alone, mirrors = True, False
@@ -56,14 +154,14 @@ class Exchange:
     path counts the joint's angle mirrored."""
 
     def __init__(self, link: Link, wire: WireLayout, log: Log, guard: Guard, budget_ns: int) -> None:
-        self.link, self.wire, self.log, self.guard = link, wire, log, guard
-        self.missed_cycles = self.stale_inputs = 0
+        super().__init__(link, wire, log, budget_ns)
+        self.guard = guard
+        self.missed_cycles = self.stale_inputs = self.absent = 0
         self.paths: tuple[Exchange, ...] = (self,)
         self.inputs = Inputs(-1, 0, NAN, NAN, 0, NAN, NAN, NAN, (1 << len(places(wire))) - 1)
         self.targets = (0.0, 0.0)
         self.annotations = NOTHING
         self.kept: list[KeptCycle] | None = None
-        self._budget_ns = budget_ns
         self.path = wire.path
         self._order = places(wire)
         self.all = (1 << len(self._order)) - 1
@@ -82,7 +180,7 @@ class Exchange:
         self._latched_ns: Sequence[float] = [0 if node else NAN for node in self.path]
         self._arrival_ns: Sequence[float] = UNHEARD
         self._late_in_row = self._none_late
-        self.first_ns = self._velocity_ns = self._early_ns = -1
+        self.first_ns = self._velocity_ns = -1
         self._count = 0
         self.told = self._doubled_sync = False
         self.own, self.name = 0, "master"
@@ -97,7 +195,6 @@ class Exchange:
                                                             with_knee=self.knee_driven)
         self._reception = Reception(wire.period_ns * 1e-9, guard.limits)
         self._velocity = self._position = NAN
-        self._patience_ns = guard.limits.stale_cycles * wire.period_ns
         offer: Callable[..., CompleteCycles | None] | None = getattr(link.bus, "cycles", None)
         self._observers = observer_slots(wire)
         self._unknown = (NAN,) * sum(len(slots.places) for slots in self._observers.values())
@@ -106,41 +203,18 @@ class Exchange:
         self._complete_cycles = None if offer is None or not whole else offer(
             log.tap, (wire.targets.cob_id, wire.targets.size), [(plan.cob_id, plan.size) for plan in plans],
             wire.period_ns, budget_ns, link.heartbeat)
+        self._run_paths()
 
-    def begin(self) -> Inputs:
-        """Wait for a first SYNC and its inputs; an SDO's wait runs control cycles from here on."""
-        sync_ns = self._await_sync()
-        if sync_ns < 0:
-            self.link.sync_pace(self.wire.period_ns)
-            self.log.event(self.link.clock(), "warning", "master", UNSEEN)
-            sync_ns = self._await_sync()
-        self.first_ns = sync_ns
-        self.log.drain()
-        self.link.pump = lambda _deadline_ns: self.hold()
-        inputs = self._latch(sync_ns)
-        if not self.knee_driven and not inputs.missing & KNEE_BIT:  # whoever holds the joint is asked to stay
-            self.targets = (self.targets[0], inputs.knee_angle_rad)
+    def begun(self) -> None:
+        """Begin with nothing overdue, and ask whoever holds a joint without a drive to stay."""
         self._overdue_ns = 0
-        return inputs
-
-    @property
-    def guards(self) -> tuple[Guard, ...]:
-        """The guard, as a list of one for each force path."""
-        return (self.guard,)
+        if not self.knee_driven and not self.inputs.missing & KNEE_BIT:
+            self.targets = (self.targets[0], self.inputs.knee_angle_rad)
 
     @property
     def heard(self) -> tuple[int, ...]:
         """COB-IDs that this path receives: inputs and observers."""
         return (*self._slots, *self._observers)
-
-    def forget_misses(self) -> None:
-        """Set the counters of missed inputs and outputs to 0."""
-        self.missed_cycles = self.stale_inputs = 0
-
-    def end(self) -> None:
-        """End the cyclic exchange: SDO transfers wait by receiving again."""
-        self.link.pump = self.link.receive
-        self.log.drain()
 
     def hold(self) -> Inputs:
         """Run one cycle with the targets of the last one."""
@@ -180,9 +254,7 @@ class Exchange:
         sync_ns = self._await_sync()
         self.log.drain()
         self._record(sync_ns, sent, annotations)
-        if sync_ns < 0:
-            self.guard.heed_strangers()
-            raise StopError(Condition.SYNC_LOST, NO_SYNC.format(self._patience_ns / 1e6))
+        self._refuse_silence(sync_ns)
         return self._latch(sync_ns)
 
     def answer(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None) -> None:
@@ -215,8 +287,7 @@ class Exchange:
 
     def _record(self, sync_ns: int, sent: bool, annotations: CycleAnnotations | None) -> None:
         """Record the cycle that the newest SYNC has ended."""
-        if self.log.taps and sent:
-            sent = self.inputs.sync_ns <= self.log.target_stamp_ns <= sync_ns
+        sent = self._in_time(sync_ns, sent)
         self.note(sent)
         if not self.told:
             self.told = True
@@ -229,22 +300,6 @@ class Exchange:
             self._note_miss(sent)
         elif self._misses:
             self._end_misses()
-
-    def _await_sync(self) -> int:
-        """Time stamp of the next SYNC, or −1 after the patience; TPDOs that come before it are kept as late."""
-        early, self._early_ns = self._early_ns, -1
-        if early >= 0:
-            return early
-        receive, slots = self.link.receive, self._slots
-        deadline = self.link.clock() + self._patience_ns
-        while (message := receive(deadline)) is not None:
-            can_id = message.arbitration_id
-            if can_id == SYNC_COB_ID:
-                if not self.repeats(stamp_ns(message)):
-                    return stamp_ns(message)
-            elif can_id in slots or can_id in self._observers:
-                self.hear_late(message)
-        return -1
 
     def hear_late(self, message: can.Message) -> None:
         """Process a TPDO that arrives after the deadline of its cycle."""
@@ -259,16 +314,15 @@ class Exchange:
         else:
             self._note_doubled(message, i)
 
-    def hear(self, message: can.Message, sync_ns: int, missing: int) -> int:
-        """Store a TPDO that a SYNC has latched; return the bits of `missing` that are still missing."""
+    def hear(self, message: can.Message, sync_ns: int) -> None:
+        """Store a TPDO that a SYNC has latched."""
         can_id = message.arbitration_id
         if can_id in self._observers:
             self._observe(message)
-            return missing
-        if missing >> self._slots[can_id][0] & 1:
-            return missing & ~self._take(message, sync_ns)
-        self._note_doubled(message, self._slots[can_id][0])
-        return missing
+        elif self.absent >> self._slots[can_id][0] & 1:
+            self.absent &= ~self._take(message, sync_ns)
+        else:
+            self._note_doubled(message, self._slots[can_id][0])
 
     def repeats(self, sync_ns: int) -> bool:
         """Return whether a SYNC comes within half a period of the last one: it is doubled, and begins no cycle."""
@@ -355,15 +409,14 @@ class Exchange:
                        f"{self.wire.nodes[self._order[i]].name}: {self._reception.refusal(i)}; not taken.")
 
     def _latch(self, sync_ns: int, frames: Any = None) -> Inputs:
-        """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety.
-
-        `frames`, as `eds.pdo_plan.Joined` takes them, where all of them are there already.
-        """
+        """Collect the PDOs of one SYNC, or take `frames`, as `eds.pdo_plan.Joined` does; then check safety."""
         self.begin_latch(sync_ns)
-        missing = self._collect(sync_ns) if frames is None else self._keep_all(sync_ns, frames)
-        if missing and frames is not None:
-            missing = self._collect(sync_ns, missing)
-        self.latched(sync_ns, missing)
+        if frames is None:
+            self.expect()
+        else:
+            self.absent = self._keep_all(sync_ns, frames)
+        self._collect(sync_ns)
+        self.latched(sync_ns)
         return self.checked()
 
     def begin_latch(self, sync_ns: int) -> None:
@@ -373,8 +426,9 @@ class Exchange:
         overdue_ns = self._overdue_ns + sync_ns - self.inputs.sync_ns - self.wire.period_ns
         self._overdue_ns = min(max(overdue_ns, 0), self._patience_ns)
 
-    def latched(self, sync_ns: int, missing: int) -> None:
-        """Set the inputs of a SYNC from the received values; `missing` has the bits of the missing ones."""
+    def latched(self, sync_ns: int) -> None:
+        """Set the inputs of a SYNC from the received values; what is absent is missing."""
+        missing = self.absent
         servo, knee, start, end = self._values
         self.inputs = inputs = Inputs(
             sync_ns=sync_ns, servo_status=int(servo[0]), servo_position_m=servo[1],
@@ -392,29 +446,10 @@ class Exchange:
         self._answered_ns = self.link.clock()
         return self.inputs
 
-    def _collect(self, sync_ns: int, missing: int = 0) -> int:
-        """Receive the missing PDOs (0: all) of one SYNC until its deadline; return the bits of those that did not
-        arrive."""
-        missing = missing or self.all
-        deadline = sync_ns + self._budget_ns
-        receive, slots = self.link.receive, self._slots
-        if missing == self.all:
-            self._reception.begin()
-        while missing and (message := receive(deadline)) is not None:
-            can_id = message.arbitration_id
-            if can_id in slots or can_id in self._observers:
-                missing = self.hear(message, sync_ns, missing)
-            elif can_id == SYNC_COB_ID and (stamp := stamp_ns(message)) - sync_ns > self.wire.period_ns // 2:
-                self._early_ns = stamp
-                break
-            elif can_id == SYNC_COB_ID:
-                self.note_repeated(stamp_ns(message))
-        return missing
-
-    def expect(self) -> int:
-        """Begin the reception of the next SYNC's inputs; return the bit mask of all expected inputs."""
+    def expect(self) -> None:
+        """Begin the reception of a SYNC's inputs: all are absent."""
         self._reception.begin()
-        return self.all
+        self.absent = self.all
 
     def _observe(self, message: can.Message) -> None:
         """Keep the content of an observer's TPDO for the row of this cycle."""

@@ -77,10 +77,8 @@ class Guard:
         self._watched = (*self._by_weight, *(node for node in wire.nodes if node not in self._order))
         self._period_ns = wire.period_ns
 
-    def check(
-        self, inputs: Inputs, late_in_row: Sequence[int], targets: tuple[float, float] = (0.0, 0.0),
-        rehoming: bool = False, reception: Reception | None = None,
-    ) -> None:
+    def check(self, inputs: Inputs, late_in_row: Sequence[int], targets: tuple[float, float], rehoming: bool,
+              reception: Reception) -> None:
         """Raise `StopError` where the inputs of one SYNC, or what came with them, break a limit."""
         link = self._link
         watch = link.watch
@@ -166,9 +164,7 @@ class Guard:
 
     # ---- communication ----
 
-    def _refuse_strange(self, reception: Reception | None) -> None:
-        if reception is None:
-            return
+    def _refuse_strange(self, reception: Reception) -> None:
         for i, node in enumerate(self._order):
             if reception.refused[i] >= ENOUGH:
                 raise StopError(Condition.IMPLAUSIBLE, f"{self._name(node)} says {reception.refusal(i)}, "
@@ -201,7 +197,7 @@ class Guard:
             if self.enabled and beat.state in _LEFT:
                 raise StopError(Condition.LEFT, f"{self._name(node)}, its heartbeat says {_LEFT[beat.state]}", node)
 
-    def heed(self, now_ns: int, reception: Reception | None = None) -> None:
+    def heed(self, now_ns: int, reception: Reception) -> None:
         """Process foreign frames, emergencies and boot-ups; raises `StopError` for the first serious one."""
         link, first = self._link, self._strangers()
         for emergency in _taken(link.emergencies, lambda emergency: emergency.node_id in self._others):
@@ -232,7 +228,7 @@ class Guard:
                 first = first or StopError(Condition.FOREIGN, stranger.text)
         return first
 
-    def _cause(self, emergency: EmcyMessage, text: str, now_ns: int, reception: Reception | None) -> StopError:
+    def _cause(self, emergency: EmcyMessage, text: str, now_ns: int, reception: Reception) -> StopError:
         """Return the cause of an emergency: a drive reports missed or excessive cycles before the master gives up."""
         if emergency.code in _CONSEQUENCES:
             since = now_ns - REMEMBERED * self._period_ns
@@ -246,7 +242,7 @@ class Guard:
                     Condition.STALE, f"{self._name(node)} missed {late[worst]} cycles in a row ({text})", node)
         if emergency.code == Emcy.TENSION_LIMIT:
             start = self._path.start
-            if reception is not None and reception.refused[START]:
+            if reception.refused[START]:
                 return StopError(Condition.IMPLAUSIBLE, f"{self._name(start)} says {reception.refusal(START)} ({text})",
                                  start)
             return self._limit(Condition.EMERGENCY, text, self._path.servo)

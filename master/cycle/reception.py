@@ -72,11 +72,7 @@ class Reception:
 
     def begin(self) -> None:
         """Begin a cycle: the age of every last value increases by one."""
-        age = self._age
-        age[0] += 1
-        age[1] += 1
-        age[2] += 1
-        age[3] += 1
+        self._age = [cycles + 1 for cycles in self._age]
 
     def accepts(self, i: int, values: Sequence[float], anew: bool) -> bool:
         """Return whether these values pass the check; `anew`: the encoder may count from another zero than before."""

@@ -7,20 +7,20 @@ hold, and a rope follows a joint that the other path of that joint moves.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Final, NamedTuple, TypeVar
 
 import can
 
 from eds.bench.bench_network import WireLayout
-from eds.cia301 import SYNC_COB_ID
 from eds.declaration import EXTENDS, MIRROR_RAD, ForcePath
-from master.cycle.exchange import NAN, NO_SYNC, UNSEEN, Exchange
+from master.cycle.exchange import NAN, Exchange, SyncCycle
 from master.cycle.guard import Guard
 from master.cycle.inputs import KNEE, CycleAnnotations, Inputs
 from master.cycle.log import Log
-from master.cycle.safety import Condition, StopError
-from master.network.link import Link, stamp_ns
+from master.cycle.safety import StopError
+from master.network.link import Link
 from physics.calibration import nominal
 from trial.signals import joined
 
@@ -64,32 +64,12 @@ class PathExchange(Exchange):
         self._shared.advance({self.name: Answer(servo_m, knee_rad, annotations)})
         return self.inputs
 
-    def answer(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None) -> None:
-        """Accept the targets that answer `inputs`; nothing is sent."""
-        try:
-            super().answer(servo_m, knee_rad, annotations)
-        except StopError as stop:
-            raise self._located(stop) from stop
-
-    def checked(self) -> Inputs:
-        """Return the inputs of this cycle, checked against the table of `safety`."""
-        try:
-            return super().checked()
-        except StopError as stop:
-            raise self._located(stop) from stop
-
-    def _located(self, stop: StopError) -> StopError:
-        """Return a stop that names this path, where it names a device of this path."""
-        if stop.node_id not in self.path or not stop.node_id:
-            return stop
-        return StopError(stop.condition, f"{stop.detail} (force path {self.name})", stop.node_id)
-
     def command(self, servo_word: int, knee_word: int) -> None:
         """Send the controlwords of this path's drives; other drives keep theirs."""
         self._shared.command({self.path.servo: servo_word, self.path.knee: knee_word})
 
 
-class SharedExchange:
+class SharedExchange(SyncCycle):
     """The running cycle of all force paths; `paths` are their exchanges in declared order, `wire` the whole bench's.
 
     Counters, `begin` and `end` are as in `Exchange`.  The first path of a joint leads its drive.
@@ -97,27 +77,17 @@ class SharedExchange:
 
     def __init__(self, link: Link, wire: WireLayout, log: Log, guard_of: Callable[[WireLayout, ForcePath], Guard],
                  budget_ns: int) -> None:
-        self.link, self.wire, self.log = link, wire, log
-        self._budget_ns = budget_ns
-        self.paths = tuple(PathExchange(self, path, guard_of(wire.of_path(path.name), path), budget_ns)
-                           for path in wire.network.bench.force_paths)
+        super().__init__(link, wire, log, budget_ns)
+        self.paths: tuple[PathExchange, ...] = tuple(
+            PathExchange(self, path, guard_of(wire.of_path(path.name), path), budget_ns)
+            for path in wire.network.bench.force_paths)
+        self._run_paths()
         self._of_joint = {path.name: [other for other in self.paths if other.joint == path.joint and other is not path]
                           for path in self.paths}
-        self._hearing: dict[int, list[PathExchange]] = {}
-        for path in self.paths:
-            for can_id in path.heard:
-                self._hearing.setdefault(can_id, []).append(path)
         frames = list(wire.master_frames())
         self._targets = [(plan, nodes) for name, plan, nodes in frames if name == "target"]
         self._controlwords = [(plan, nodes) for name, plan, nodes in frames if name == "controlword"]
         self._words = dict.fromkeys(wire.drives, 0)
-        self._early_ns = -1
-        self._patience_ns = self.paths[0].guard.limits.stale_cycles * wire.period_ns
-
-    @property
-    def guards(self) -> tuple[Guard, ...]:
-        """The guards of all paths."""
-        return tuple(path.guard for path in self.paths)
 
     @property
     def missed_cycles(self) -> int:
@@ -128,29 +98,6 @@ class SharedExchange:
     def stale_inputs(self) -> int:
         """Number of PDOs older than a cycle that reached a step, of all paths."""
         return sum(path.stale_inputs for path in self.paths)
-
-    def forget_misses(self) -> None:
-        """Set every path's counters of missed inputs and outputs to 0."""
-        for path in self.paths:
-            path.forget_misses()
-
-    def begin(self) -> None:
-        """Wait for a first SYNC and its inputs; an SDO's wait runs control cycles from here on."""
-        sync_ns = self._await_sync()
-        if sync_ns < 0:
-            self.link.sync_pace(self.wire.period_ns)
-            self.log.event(self.link.clock(), "warning", "master", UNSEEN)
-            sync_ns = self._await_sync()
-        self.log.drain()
-        self.link.pump = lambda _deadline_ns: self.hold()
-        for path in self.paths:
-            path.first_ns = sync_ns
-        self._latch(sync_ns)
-
-    def end(self) -> None:
-        """End the cyclic exchange: SDO transfers wait by receiving again."""
-        self.link.pump = self.link.receive
-        self.log.drain()
 
     def hold(self) -> None:
         """Run one cycle with the targets of the last one."""
@@ -175,19 +122,15 @@ class SharedExchange:
         told = []
         for path in self.paths:
             answer = self._answer(path, answers.get(path.name), led.get(path.joint))
-            path.answer(*answer)
+            with _located(path):
+                path.answer(*answer)
             told.append(answer.annotations or path.annotations)
         sent = self._send()
         sync_ns = self._await_sync()
         self.log.drain()
-        self._record(told, sent and (not self.log.taps or self._sent_in_time(sync_ns)))
-        if sync_ns < 0:
-            self.paths[0].guard.heed_strangers()
-            raise StopError(Condition.SYNC_LOST, NO_SYNC.format(self._patience_ns / 1e6))
+        self._record(told, self._in_time(sync_ns, sent))
+        self._refuse_silence(sync_ns)
         self._latch(sync_ns)
-
-    def _sent_in_time(self, sync_ns: int) -> bool:
-        return self.paths[0].inputs.sync_ns <= self.log.target_stamp_ns <= sync_ns
 
     @staticmethod
     def _answer(path: PathExchange, given: Answer | None, joint_rad: float | None) -> Answer:
@@ -224,46 +167,30 @@ class SharedExchange:
                for path, annotations in zip(self.paths, told, strict=True)]
         self.log.row(self.paths[0].inputs.sync_ns, joined(rows, self.paths[0].observed, own))
 
-    def _await_sync(self) -> int:
-        """Time stamp of the next SYNC, or −1 after the patience; TPDOs that come before it are kept as late."""
-        early, self._early_ns = self._early_ns, -1
-        if early >= 0:
-            return early
-        deadline = self.link.clock() + self._patience_ns
-        while (message := self.link.receive(deadline)) is not None:
-            if message.arbitration_id == SYNC_COB_ID:
-                if not self.paths[0].repeats(stamp_ns(message)):
-                    return stamp_ns(message)
-            else:
-                for path in self._hearing.get(message.arbitration_id, ()):
-                    path.hear_late(message)
-        return -1
-
     def _latch(self, sync_ns: int) -> None:
         """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check every path."""
         for path in self.paths:
             path.begin_latch(sync_ns)
-        missing = self._collect(sync_ns)
+            path.expect()
+        self._collect(sync_ns)
         for path in self.paths:
-            path.latched(sync_ns, missing[path.name])
+            path.latched(sync_ns)
         for path in self.paths:
             path.guard.joint_held = any(other.inputs.missing for other in self._of_joint[path.name])
         for path in self.paths:
-            path.checked()
+            with _located(path):
+                path.checked()
 
-    def _collect(self, sync_ns: int) -> dict[str, int]:
-        missing = {path.name: path.expect() for path in self.paths}
-        deadline, period_ns = sync_ns + self._budget_ns, self.wire.period_ns
-        while any(missing.values()) and (message := self.link.receive(deadline)) is not None:
-            if message.arbitration_id != SYNC_COB_ID:
-                for path in self._hearing.get(message.arbitration_id, ()):
-                    missing[path.name] = path.hear(message, sync_ns, missing[path.name])
-            elif stamp_ns(message) - sync_ns > period_ns // 2:
-                self._early_ns = stamp_ns(message)
-                break
-            else:
-                self.paths[0].note_repeated(stamp_ns(message))
-        return missing
+
+@contextmanager
+def _located(path: PathExchange) -> Iterator[None]:
+    """Let a stop that names a device of this force path name the path, too."""
+    try:
+        yield
+    except StopError as stop:
+        if not stop.node_id or stop.node_id not in path.path:
+            raise
+        raise StopError(stop.condition, f"{stop.detail} (force path {path.name})", stop.node_id) from stop
 
 
 Running = Exchange | SharedExchange

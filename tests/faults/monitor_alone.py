@@ -272,6 +272,18 @@ def kept(path: Path | None) -> list[Supervised]:
                 for row in itertools.islice(csv.reader(file), 1, None)]
 
 
+def save(path: Path | None, found: Sequence[Supervised]) -> list[Supervised]:
+    """Return the rows in the order of the supervisions, the last one of each run, and write them as CSV."""
+    last = {(row.drive, row.guard, row.fault, row.moment, row.walk): row for row in found}
+    rows = sorted(last.values(), key=lambda row: (row.drive != "own", GUARDS.index(row.guard)))
+    if path is not None:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(Supervised._fields)
+            writer.writerows(rows)
+    return rows
+
+
 def main() -> int:
     """Run, print, write."""
     asked = argparse.ArgumentParser(description=__doc__)
@@ -297,17 +309,11 @@ def main() -> int:
     for drive, guard in turns:
         for row in ran(beyond(rows, found, drive) if guard == "link" else rows, guard, drive, given.person, given.jobs):
             found.append(row)
+            save(given.csv, found)
             print(f"{'      ' if row.within else 'BEYOND'} {row.drive:6} {row.guard:6} {row.fault:42} "
                   f"{row.moment:7} {row.start_n:6.1f}/{row.end_n:6.1f} N {row.low_deg:6.1f}…{row.high_deg:5.1f}°  "
                   f"{row.stopped_by}", flush=True)
-    found = list({(row.drive, row.guard, row.fault, row.moment, row.walk): row for row in found}.values())
-    found.sort(key=lambda row: (row.drive != "own", GUARDS.index(row.guard)))
-    if given.csv:
-        with given.csv.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(Supervised._fields)
-            writer.writerows(found)
-    lines = table(found)
+    lines = table(found := save(given.csv, found))
     print("\n".join(lines))
     if given.page:
         text = given.page.read_text(encoding="utf-8")

@@ -189,6 +189,9 @@ def nothing(scene: Scene) -> None:
 
 KNEE_LET_GO = (argument.LYING_KNEE, argument.KNEE_STAGE)
 COASTS = "a leg in swing coasts on when its drive lets go, and nothing else that is trusted can brake it"
+LET_GO: dict[str, Any] = {
+    "unstoppable": "the fault itself takes the knee's torque: a leg in swing coasts on, and no stop can brake it",
+    "excused": ("off_deg",)}
 
 
 def of(action: argument.UnsafeAction, *rows: Row) -> tuple[Row, ...]:
@@ -240,7 +243,7 @@ ROWS: tuple[Row, ...] = (
     *of(
         argument.LYING_TENSION,
         Row("END stuck at 0", sensed(end_n=lambda value, t: 0.0), (names.END_OR_ROPE,)),
-        Row("END stuck at its value", frozen("end_n"), (names.END_OR_ROPE,)),
+        Row("END stuck at its value", frozen("end_n"), (names.END_OR_ROPE, names.BETWEEN)),
         Row("END × 0.5", sensed(end_n=GAIN(0.5)), (names.END_OR_ROPE,)),
         Row("END × 2", sensed(end_n=GAIN(2.0)), (names.END_OR_ROPE, names.BETWEEN)),
         Row("END + 15 N", sensed(end_n=OFFSET(15.0)), (names.END_OR_ROPE, names.BETWEEN, names.DESIRED)),
@@ -299,7 +302,7 @@ ROWS: tuple[Row, ...] = (
     *of(
         argument.STOP,
         Row("servo's STO pressed", wire("emergency_stop", node=SERVO), (names.emergency("servo", 0x5441),)),
-        Row("knee's STO pressed", wire("emergency_stop", node=KNEE), (names.emergency("knee", 0x5441),)),
+        Row("knee's STO pressed", wire("emergency_stop", node=KNEE), (names.emergency("knee", 0x5441),), **LET_GO),
     ),
     *of(
         argument.PATH,
@@ -322,7 +325,7 @@ ROWS: tuple[Row, ...] = (
         argument.NO_INPUT,
         Row("servo's PDO lost", wire("drop", cob_id=0x181), (names.old("servo"),)),
         Row("knee cut off", wire("cut", node=KNEE), (names.old("knee"),)),
-        Row("knee without supply", wire("power_off", node=KNEE), (names.old("knee"),)),
+        Row("knee without supply", wire("power_off", node=KNEE), (names.old("knee"),), **LET_GO),
     ),
     *of(
         argument.TARGETS,
@@ -367,11 +370,11 @@ ROWS: tuple[Row, ...] = (
         Row("another master's targets nearby", near, (names.foreign("targets"),)),
         Row("targets replayed stale", stale_targets, (names.foreign("targets"),), LOADED),
         Row("another program's targets on this computer", own_socket(0x201, bytes(8)), (names.foreign("targets"),)),
-        Row("foreign controlword: disable voltage", said(0x301, bytes(4)), (names.foreign("controlwords"),)),
+        Row("foreign controlword: disable voltage", said(0x301, bytes(4)), (names.foreign("controlwords"),), **LET_GO),
         Row("foreign controlword: quick stop", said(0x301, b"\2\0\x0f\0"), (names.foreign("controlwords"),)),
         Row("foreign NMT stop", said(0x000, b"\2\1"), (names.foreign("NMT STOP to servo from another master"),)),
         Row("foreign NMT reset", said(0x000, b"\x81\0"),
-            (names.foreign("NMT RESET NODE to all nodes from another master"),)),
+            (names.foreign("NMT RESET NODE to all nodes from another master"),), **LET_GO),
         Row("foreign NMT pre-operational", said(0x000, b"\x80\3"),
             (names.foreign("NMT ENTER PRE OPERATIONAL to start from another master"),)),
         Row("foreign SYNC", repeated(7 * MS, 0x080, lambda n: b""), (names.foreign("SYNC from somebody else"),)),

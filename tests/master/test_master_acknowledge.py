@@ -10,8 +10,7 @@ import pytest
 
 from eds.bench.bench_network import KNEE, SERVO, Network, WireLayout, wire
 from eds.cia402 import State, state_of
-from master.cycle.acknowledge import acknowledge
-from master.cycle.drives import RELEASE
+from master.network.acknowledge import RELEASE, acknowledge
 from master.network.bringup import BringUpError
 from master.network.link import Link
 

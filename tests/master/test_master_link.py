@@ -129,7 +129,8 @@ def test_sync_that_is_not_shown_is_paced_by_the_master(composer: Composer) -> No
                           {"can_id": 0x700, "can_mask": 0x700}])
     link.sync_start(described.period_ns)
     exchange = Exchange(link, described, log, Guard(link, described, log, Limits(), 250 * MS), 600_000)
-    stamps = [exchange.begin().sync_ns] + [exchange.hold().sync_ns for _ in range(200)]
+    exchange.begin()
+    stamps = [exchange.inputs.sync_ns] + [exchange.hold().sync_ns for _ in range(200)]
     assert set(np.diff(stamps).tolist()) == {MS}
     assert exchange.missed_cycles == 0
     link.sync_stop()

@@ -13,13 +13,13 @@ from eds.bench.bench_network import KNEE, SERVO, Network, WireLayout, wire
 from eds.cia402 import State, state_of
 from eds.dictionary import key
 from master.cycle import drives
-from master.cycle.acknowledge import acknowledge
 from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
 from master.cycle.inputs import Inputs
 from master.cycle.log import Log
 from master.cycle.run_safely import run_safely
 from master.network import bringup
+from master.network.acknowledge import acknowledge
 from master.network.link import Link
 from master.settings import Limits
 from virtual_bus.bus import BowdenBus

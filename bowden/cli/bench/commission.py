@@ -193,7 +193,7 @@ def acknowledge(
     """
     from bowden.bench import buses
     from eds.bench.bench_network import wire
-    from master.cycle.acknowledge import acknowledge as release
+    from master.network.acknowledge import acknowledge as release
     from master.network.bringup import BringUpError
     from master.network.link import Link, LinkError
     from parameters import InputError

@@ -11,11 +11,12 @@ from typing import Final, NamedTuple
 from eds.bench.bench_network import WireLayout
 from eds.cia301 import Abort
 from eds.dictionary import key
-from master.cycle.drives import RELEASE
 from master.network.bringup import BringUpError, refuse_rival
 from master.network.link import Link
 from master.network.sdo import SdoError
 
+RELEASE: Final = 0x2020
+"""Manufacturer object through which the operator releases a drive after an emergency stop (statusword bit 8)."""
 SIGNATURE: Final = b"rels"
 
 
