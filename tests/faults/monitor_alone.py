@@ -1,6 +1,6 @@
 """The matrix with the safety monitor: `python -m tests.faults.monitor_alone [--guards alone master both] [--drive …]
-[--rows PATTERN] [--moments …] [--gait WORDS] [--every N] [--csv FILE] [--page FILE] [--healthy N]`. A run replaces its own runs in the
-CSV and keeps the others.
+[--rows PATTERN] [--moments …] [--gait WORDS] [--every N] [--csv FILE] [--page FILE] [--healthy N]`. A run replaces its
+own runs in the CSV and keeps the others.
 
 Supervisions of one fault: the monitor alone (the master's checks are switched off here, in this process; the product
 has no such switch), for its faults beyond a bound the monitor and a weak link in the rope at the drum, the master

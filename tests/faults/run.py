@@ -39,7 +39,7 @@ def line(verdict: Verdict) -> str:
 
 
 def own(pattern: str, moments: tuple[str, ...], kind: str, gait: Walk | None) -> dict[Walk, list[Row]]:
-    """Return the rows of a kind (`KINDS`) whose name matches, by walk, at their own moments and gaits or those given."""
+    """Return the rows of a kind whose name matches, by walk, at their own moments and gaits or those given."""
     rows = [row for row in ROWS if re.search(pattern, row.name) and row.gradual in KINDS[kind]]
     if gait is not None:
         rows = [replace(row, moments=moments or row.moments, walks=(gait,), named=()) for row in rows]
