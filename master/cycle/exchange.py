@@ -98,7 +98,7 @@ class SyncCycle:
         raise NotImplementedError
 
     def _await_sync(self) -> int:
-        """Return the time stamp of the next SYNC, −1 after the patience; TPDOs that come before it are stored as late."""
+        """Return the time stamp of the next SYNC, −1 after the patience; TPDOs that come before it are stored late."""
         early, self._early_ns = self._early_ns, -1
         if early >= 0:
             return early
