@@ -137,7 +137,7 @@ class Finder:
             if refused:
                 return Findings("refused", warnings=[refused, *warnings])
         core = self._core([*groups[0], *groups[1]])
-        if carried.told and core is self._bench:
+        if carried.faults and core is self._bench:
             return replace(_of_wire(carried, warnings), part="wire", evidence={})
         if core is self._bench:
             groups = [[self._simulable(t) for t in group] for group in groups]
@@ -271,9 +271,9 @@ def _of_wire(carried: WireFindings, warnings: list[str]) -> Findings:
 
     The bench itself is then not diagnosed, since its values arrive late, incomplete or coarse.
     """
-    names = [t.effect.name for t in carried.told]
+    names = [t.effect.name for t in carried.faults]
     return Findings("found" if len(names) == 1 else "ambiguous", carried.causes(), names,
-                    carried.told[0].effect.experiment if len(names) > 1 else None, carried.figures,
+                    carried.faults[0].effect.experiment if len(names) > 1 else None, carried.figures,
                     [*warnings, "wire and converter come first: the bench itself was not searched."])
 
 

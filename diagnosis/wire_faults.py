@@ -31,7 +31,7 @@ SENSORS: Final[Mapping[str, str]] = {"start_sensor": "tension_start_n", "end_sen
 
 
 @dataclass(frozen=True)
-class Told:
+class FittedFault:
     """Effect of bus or converter that was fitted: its values, and its misfit to the observed ages (less is better).
 
     `sigma`: 1σ of its share of the values; a time is a number of complete cycles, a quantisation step exact.
@@ -44,7 +44,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Seen:
+class AgeHistogram:
     """Counts of each age in cycles, the cycle time, s, and the chance of a repeat by noise and quantisation.
 
     `chance`: None if the counts are true ages. `sigma`: 1σ of that chance, by counting and by its model (`SURROGATE`).
@@ -67,7 +67,7 @@ class Seen:
         return self.cycle_s * math.sqrt(float(self.counts @ np.arange(COUNTED + 1) ** 2.0) / self.counts.sum())
 
 
-def ages(trials: Sequence[Table], healthy: Sequence[Table] = ()) -> Seen | None:
+def ages(trials: Sequence[Table], healthy: Sequence[Table] = ()) -> AgeHistogram | None:
     """Return the ages of values on `trials`; None if neither the recorder nor the values' own noise determines them.
 
     Values without quantisation repeat by chance as often as those of `healthy` trials.
@@ -76,7 +76,7 @@ def ages(trials: Sequence[Table], healthy: Sequence[Table] = ()) -> Seen | None:
     known = [values for t in trials for name, values in t.columns.items() if name.endswith(AGE_SUFFIX)]
     if known:
         held = np.concatenate([values[np.isfinite(values)] for values in known])
-        return Seen(_counted(np.rint(held * 1e-9 / cycle_s)), cycle_s, None)
+        return AgeHistogram(_counted(np.rint(held * 1e-9 / cycle_s)), cycle_s, None)
     read = [(t, name) for name in SENSORS.values() for t in trials if name in t]
     chances = [_chance(t, name) for t, name in read]
     for i, (given, name) in enumerate(read):
@@ -84,13 +84,13 @@ def ages(trials: Sequence[Table], healthy: Sequence[Table] = ()) -> Seen | None:
         if rest:
             share = float(np.mean(np.concatenate(rest)))
             chances[i] = Chance(share, 1.0 + share * len(given))
-    told = [(_runs(t, name), chance) for (t, name), chance in zip(read, chances, strict=True) if chance is not None]
-    if not told:
+    runs_of = [(_runs(t, name), chance) for (t, name), chance in zip(read, chances, strict=True) if chance is not None]
+    if not runs_of:
         return None
-    runs = np.concatenate([r for r, _ in told])
-    chance = float(np.average([c.share for _, c in told], weights=[r.size for r, _ in told]))
-    sigma = math.hypot(math.sqrt(sum(c.variance for _, c in told)) / runs.size, SURROGATE * chance)
-    return Seen(_counted(runs), cycle_s, min(chance, 0.9), sigma)
+    runs = np.concatenate([r for r, _ in runs_of])
+    chance = float(np.average([c.share for _, c in runs_of], weights=[r.size for r, _ in runs_of]))
+    sigma = math.hypot(math.sqrt(sum(c.variance for _, c in runs_of)) / runs.size, SURROGATE * chance)
+    return AgeHistogram(_counted(runs), cycle_s, min(chance, 0.9), sigma)
 
 
 class Chance(NamedTuple):
@@ -130,7 +130,7 @@ def _runs(given: Table, name: str) -> Array:
     return np.asarray(k - np.maximum.accumulate(np.where(same, 0, k)), dtype=np.float64)
 
 
-def stale(seen: Seen) -> list[Told]:
+def stale(histogram: AgeHistogram) -> list[FittedFault]:
     """Return the effects that could have made the values stale, the best first; empty if the values are fresh.
 
     Stale: the share is one that the catalogue expects, and its Gaussian log-likelihood ratio, ½z², is `NAMED_NATS` or
@@ -138,15 +138,15 @@ def stale(seen: Seen) -> list[Told]:
     """
     effects = [effect for effect in CATALOGUE.values() if effect.stale is not None]
     least = min(p.likely[0] for effect in effects for p in effect.parameters if not p.unit)
-    if seen.share < max(least, math.sqrt(2.0 * NAMED_NATS) * seen.sigma):
+    if histogram.share < max(least, math.sqrt(2.0 * NAMED_NATS) * histogram.sigma):
         return []
-    told = [_aged(effect, seen) for effect in effects]
-    best = min(t.misfit for t in told)
-    able = [t for t in told if t.misfit - best < NAMED_NATS]
-    return sorted(able, key=lambda t: t.misfit + 0.5 * math.log(seen.counts.sum()) * len(t.effect.parameters))
+    faults = [_aged(effect, histogram) for effect in effects]
+    best = min(t.misfit for t in faults)
+    able = [t for t in faults if t.misfit - best < NAMED_NATS]
+    return sorted(able, key=lambda t: t.misfit + 0.5 * math.log(histogram.counts.sum()) * len(t.effect.parameters))
 
 
-def _aged(effect: Effect, seen: Seen) -> Told:
+def _aged(effect: Effect, histogram: AgeHistogram) -> FittedFault:
     """Fit one effect: its time by trying each number of cycles, its share by maximum likelihood."""
     law = effect.stale
     assert law is not None
@@ -154,19 +154,20 @@ def _aged(effect: Effect, seen: Seen) -> Told:
     share = next(p for p in effect.parameters if not p.unit)
     tried = []
     for cycles in range(1, COUNTED + 1) if times else (0,):
-        held = {p.name: cycles * seen.cycle_s for p in times}
-        found = minimize_scalar(lambda p, held=held: _misfit(law({**held, share.name: p}, seen.cycle_s), seen),
-                                bounds=(1e-4, 0.95), method="bounded")
+        held = {p.name: cycles * histogram.cycle_s for p in times}
+        found = minimize_scalar(
+            lambda p, held=held: _misfit(law({**held, share.name: p}, histogram.cycle_s), histogram),
+            bounds=(1e-4, 0.95), method="bounded")
         p = float(found.x)
-        sigma = math.sqrt(p * (1.0 - p) / float(seen.counts.sum()))
-        tried.append(Told(effect, {**held, share.name: p}, float(found.fun), sigma))
+        sigma = math.sqrt(p * (1.0 - p) / float(histogram.counts.sum()))
+        tried.append(FittedFault(effect, {**held, share.name: p}, float(found.fun), sigma))
     return min(tried, key=lambda t: t.misfit)
 
 
-def _misfit(law: sampling_laws.Staleness, seen: Seen) -> float:
+def _misfit(law: sampling_laws.Staleness, histogram: AgeHistogram) -> float:
     """Return the negative log-likelihood of the observed ages; one value in all may be late for another reason."""
-    expected = sampling_laws.ages(law) if seen.chance is None else sampling_laws.repeats(law, seen.chance)
-    return -float(seen.counts @ np.log(np.maximum(expected, 1.0 / seen.counts.sum())))
+    expected = sampling_laws.ages(law) if histogram.chance is None else sampling_laws.repeats(law, histogram.chance)
+    return -float(histogram.counts @ np.log(np.maximum(expected, 1.0 / histogram.counts.sum())))
 
 
 def step(given: Table, name: str) -> float:
@@ -194,7 +195,7 @@ def coarse(trials: Sequence[Table], healthy: Sequence[Table]) -> dict[str, tuple
 class WireFindings:
     """Accepted effects of bus and converter, the best first, and the figures of the equations examined."""
 
-    told: list[Told]
+    faults: list[FittedFault]
     figures: dict[str, Figures]
 
     def causes(self) -> list[dict[str, Any]]:
@@ -202,7 +203,7 @@ class WireFindings:
         return [{"effect": t.effect.name, "site": t.effect.site, "gain_percent": 100.0, "parameters": {
             p.name: _estimate(t.values[p.name], 0.0 if p.unit else 1.96 * t.sigma, p.unit)
             for p in t.effect.parameters}}
-            for t in self.told[:1]]
+            for t in self.faults[:1]]
 
 
 def _estimate(value: float, half: float, unit: str) -> dict[str, Any]:
@@ -211,16 +212,16 @@ def _estimate(value: float, half: float, unit: str) -> dict[str, Any]:
 
 def examine(trials: Sequence[Table], healthy: Sequence[Table]) -> WireFindings:
     """Return the effects of bus and converter on the values of `trials`."""
-    grids, seen = coarse(trials, healthy), ages(trials, healthy)
+    grids, histogram = coarse(trials, healthy), ages(trials, healthy)
     (effect,) = (e for e in CATALOGUE.values() if e.grid is not None)
     quantum = effect.parameters[0]
     coarser = {name: mine for name, (mine, rest) in grids.items() if mine > rest and mine >= quantum.likely[0]}
-    told = [Told(effect, {quantum.name: max(coarser.values())}, 0.0)] if coarser else []
+    faults = [FittedFault(effect, {quantum.name: max(coarser.values())}, 0.0)] if coarser else []
     figures = {name: Figures("N", rest / math.sqrt(12.0), mine / math.sqrt(12.0), mine / math.sqrt(12.0),
                              (rest if name in coarser else mine) / math.sqrt(12.0))
                for name, (mine, rest) in grids.items()}
-    if seen is not None:
+    if histogram is not None:
         # a coarse quantisation repeats values, too
-        told = told or stale(seen)
-        figures["bus"] = Figures("s", None, seen.rms_s, seen.rms_s, seen.rms_s)
-    return WireFindings(told, figures)
+        faults = faults or stale(histogram)
+        figures["bus"] = Figures("s", None, histogram.rms_s, histogram.rms_s, histogram.rms_s)
+    return WireFindings(faults, figures)

@@ -83,8 +83,8 @@ class ForwardModel(ABC):
     def course(self, q: Array, trial: Any) -> tuple[Array, Array, Array, Array, Array | None]:
         """Return position, m, speed, m/s, load at START and at END, N, and joint angle, rad, on the time grid at `q`.
 
-        The loads are simulated at coordinates `q` where the model predicts them; the joint angle is None if there is
-        none.
+        Loads are simulated at coordinates `q` if the model predicts them, else measured; the joint angle is None if
+        there is none.
         """
 
     def motion(self, trial: Any) -> Array:

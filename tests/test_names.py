@@ -1,4 +1,4 @@
-"""A class and a module have a name of their own, so that a name alone says what is meant (docs/decisions/0017)."""
+"""A class and a module have a name of their own, so that a name alone says what is meant."""
 
 from __future__ import annotations
 

@@ -13,7 +13,8 @@ from types import MappingProxyType
 from typing import Final
 
 LONGEST_NS = 200_000_000
-"""Of the clock between two looks: who looks later plays slower, never in one great leap."""
+"""Longest clock time, ns, by which one look advances the playback: after a longer pause it plays slower and does not
+leap."""
 SPEEDS = (0.001, 1000.0)
 
 

@@ -170,7 +170,7 @@ def missing_library(interface: str) -> tuple[str, str] | None:
 
 
 def clock_of(bus: Any) -> Callable[[], int]:
-    """Clock, ns, that a bus's time stamps follow: the bus's own clock if it has one."""
+    """Return the clock, ns, of a bus's time stamps: the bus's own clock if it has one."""
     return getattr(bus, "time_ns", time.time_ns)
 
 

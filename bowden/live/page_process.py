@@ -51,7 +51,7 @@ class PageSetup(NamedTuple):
 
     @property
     def forces(self) -> struct.Struct:
-        """Layout of a row of forces: time, ns, then desired, START and END force, N, of each force path."""
+        """Return the layout of a row of forces: time, ns, then desired, START and END force, N, of each force path."""
         return struct.Struct(f"<q{3 * len(self.paths)}d")
 
 
@@ -111,7 +111,7 @@ class PageProcess:
         self._put(EVENT, json.dumps((time_ns, kind, source, text)).encode())
 
     def status(self, status: str, sentence: str = "") -> None:
-        """Return whether the trial is running or ended, and how it ended."""
+        """Show the trial's status, and the sentence with it."""
         self._send_rows()
         self._put(STATUS, json.dumps((status, sentence)).encode())
 
@@ -121,7 +121,7 @@ class PageProcess:
 
     @property
     def waits(self) -> int:
-        """Number of bytes that the page has not read yet."""
+        """Return the number of bytes that the page has not read yet."""
         return len(self._waiting)
 
     def close(self) -> None:

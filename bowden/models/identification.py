@@ -116,7 +116,7 @@ def _walked(reason: str | None, gaits: Sequence[Segment], found: Identified) -> 
 def again(
     what: str, trials: Sequence[Path], guess: Path | Calibration | None, *, date: str, progress: Progress = SILENT
 ) -> Identified:
-    """Fit to the experiments that `trials` recorded, on one bench; without a `guess` it starts where the first did.
+    """Fit recorded experiments of one bench again; without a `guess` the fit starts from the first trial's calibration.
 
     Raises `InputError` for trials of two benches, or where an experiment that `what` needs is in none of them.
     """

@@ -107,7 +107,7 @@ def _of_paths(
 def refused(
     experiment: ExperimentSetup, result: Result, wall_s: float, *, serial: int | None, simulated: bool
 ) -> dict[str, Any]:
-    """The keys of `figures` for a run that ended before its first control cycle, of which no file is kept."""
+    """Return the keys of `figures` for a run that ended before its first control cycle, of which no file is kept."""
     nothing = _of_force(None, None, experiment.gait.peak_n, experiment, SILENT)
     return {
         "trial": None, "peak_n": experiment.gait.peak_n, "period_s": experiment.gait.period_s,

@@ -14,7 +14,7 @@ from virtual_bus.wire.bits import INTERMISSION_BITS
 
 
 def frame_bits(frames: NDArray[np.void]) -> NDArray[np.int64]:
-    """Bits that each of the recorded `frames` takes on the wire, up to the next one."""
+    """Return the bits that each of the recorded `frames` takes on the wire, up to the next one."""
     flags = frames["flags"]
     return INTERMISSION_BITS + bits_of(
         frames["can_id"], frames["dlc"], frames["data"], flags & cdr.REMOTE != 0, flags & cdr.EXTENDED != 0)

@@ -21,7 +21,7 @@ SWING_STEP, PULL_STEP = 20, 5
 
 
 def stiffness(axes: Any, segments: Sequence[Segment]) -> str:
-    """Fig. 9: the pulls and releases, and the parabola (10) through them; forces in N, rope position in mm."""
+    """Draw the paper's Fig. 9: pulls and releases, and the parabola (10) through them; return a sentence. N over mm."""
     fitted = calibration_fit.stiffness(segments, 0.0)
     a, b, c = (1e3 * coefficient for coefficient in fitted.coefficients)
     force = np.concatenate([s.start for s in segments if s.kind == "stiffness"])
@@ -37,7 +37,8 @@ def stiffness(axes: Any, segments: Sequence[Segment]) -> str:
 
 
 def swing(axes: Any, segments: Sequence[Segment]) -> str:
-    """Fig. 10: the slow swings at constant START tension, and the line (11) through them; mm over degrees."""
+    """Draw the paper's Fig. 10: slow swings at constant START tension, and the line (11) through them; return a
+    sentence."""
     fitted = calibration_fit.swing(segments)
     slope, constant = 1e3 * fitted.coefficients[0] * np.pi / 180.0, 1e3 * fitted.coefficients[1]
     degrees = np.degrees(np.concatenate([s.knee for s in segments if s.kind == "swing"]))

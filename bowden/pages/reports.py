@@ -30,7 +30,7 @@ def write_trial_page(recorded: TrialFile, path: Path, *, overwrite: bool = False
 
 
 def _bound(recorded: TrialFile) -> float | None:
-    """The sustained load, %, computed for the network that the trial carries with it; None where it has none."""
+    """Return the sustained load, %, computed for the network that the trial carries; None if it carries none."""
     from eds.bench import bus_load
     from eds.bench.bench_network import Network, wire
 
@@ -42,7 +42,7 @@ def _bound(recorded: TrialFile) -> float | None:
 
 
 def _published(recorded: TrialFile) -> dict[str, str]:
-    """The paper's figures at the same peak."""
+    """Return the paper's figures at the same peak."""
     try:
         rmse = PAPER_RMSE_PERCENT.get(float(recorded.metadata.get("peak_n", "")))
     except ValueError:

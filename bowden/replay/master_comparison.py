@@ -70,7 +70,7 @@ def compare(recorded: Sequence[MasterFrame], live: Sequence[MasterFrame]) -> Mas
 
 
 def _by_cob_id(heard: Sequence[MasterFrame]) -> dict[int, list[tuple[int, str]]]:
-    """Time from the first frame, ns, and payload of each frame."""
+    """Return by COB-ID the time from the first frame, ns, and payload of each frame."""
     found: dict[int, list[tuple[int, str]]] = {}
     for time_ns, frame in heard:
         found.setdefault(frame.can_id, []).append((time_ns - heard[0].time_ns, frame.data.hex(" ")))
@@ -78,7 +78,7 @@ def _by_cob_id(heard: Sequence[MasterFrame]) -> dict[int, list[tuple[int, str]]]
 
 
 def on_wire(frames: Rows, lengths_ns: Integers) -> list[OnWire]:
-    """The frames of a recording with their times on the wire; error frames are left out."""
+    """Return the frames of a recording with their times on the wire, without error frames."""
     return [OnWire(int(row["time_ns"] - length), int(row["time_ns"]), frame_of(row))
             for row, length in zip(frames, lengths_ns, strict=True) if not row["flags"] & cdr.ERROR]
 

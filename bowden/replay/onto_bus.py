@@ -125,7 +125,7 @@ def replay(
 
 @contextmanager
 def _outlet(chosen: BusSettings, channels: Mapping[int, str]) -> Iterator[tuple[Outlet, Any]]:
-    """The bus of each recorded channel that is mapped; without a map one bus takes all of them."""
+    """Return the bus of each recorded channel that is mapped; without a map one bus takes all of them."""
     from bowden.replay.playing_bus import Outlet
 
     with ExitStack() as stack:

@@ -128,7 +128,7 @@ def replay(
 def step_again(
     recorded: Trial, experiment: ExperimentSetup, progress: Callable[[float], None] = lambda share: None
 ) -> RecordedInputs:
-    """The walk of `experiment` over a trial's rows: what its controller made of them, by row."""
+    """Step the controller of `experiment` over a trial's rows; return its outputs by row."""
     planned = Planned(experiment)
     planned.homed = Homed(math.nan, _day(recorded, experiment, planned.kind))
     recording = RecordedInputs(recorded, wire(experiment.network), walked(recorded), progress,
@@ -139,7 +139,8 @@ def step_again(
 
 
 def walked(recorded: Trial) -> range:
-    """The rows in which the controller was asked: from the run-in to the end of the run-out, or to the stop."""
+    """Return the rows in which the controller made a step: from the run-in to the end of the run-out, or to the stop.
+    """
     needed = (*INPUTS, *ANSWERS, *(f"{name}_pdo_age_ns" for name in PDO_NAMES), "missed_outputs")
     lacking = [name for name in needed if name not in recorded.columns]
     if lacking:
@@ -209,14 +210,14 @@ def _unlike(one: Floats, other: Floats) -> list[int]:
 
 
 def _sent_rows(recorded: Trial, stepped: slice) -> list[int]:
-    """Rows whose targets left in time, from the first of `stepped`; none where no frames were recorded."""
+    """Return the rows whose targets were sent in time, from the first of `stepped`; none without recorded frames."""
     if not len(recorded.frames):
         return []
     return np.flatnonzero(recorded.columns["missed_outputs"][stepped] == 0).tolist()
 
 
 def _frames_by_row(recorded: Trial, cob_id: int) -> list[bytes | None]:
-    """Payload of the last frame `cob_id` between a row's SYNC and the next one's, None without one."""
+    """Return by row the payload of the last frame `cob_id` between its SYNC and the next one, None without one."""
     frames = recorded.frames
     frames = frames[(frames["can_id"] == cob_id) & (frames["flags"] == 0)]
     found: list[bytes | None] = [None] * len(recorded.time_ns)

@@ -48,7 +48,7 @@ def replay(recorded: Trial, chosen: BusSettings, bitrate: int, *, progress: Prog
 
 
 def _own(recorded: Trial, nodes: RecordedNodes, channel: str, bitrate: int) -> None:
-    """The recorded experiment, run by this process's master on a wire with the recorded nodes on it."""
+    """Run the recorded experiment by this process's master on a wire with the recorded nodes."""
     from master.motion import scripted_experiments
     from master.motion.experiment_run import run
     from master.network.link import Link

@@ -68,7 +68,7 @@ def simulate(recorded: Trial, chosen: BusSettings, described: WireLayout, progre
 
 
 def lengths_ns(frames: Rows, bitrate: int) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Duration of each recorded frame on the wire."""
+    """Return the duration of each recorded frame on the wire, ns."""
     from trial.mcap_file import cdr
     from virtual_bus.wire.bit_counts import bits_of
 

@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 
 SECOND_NS = 1_000_000_000
 BOOT_NS = 50_000_000
-"""A bench that was just switched on is given so long before the first command."""
+"""Time, ns, between the power-on of a bench and the first command."""
 PREFIX = "residual_"
 _KEPT = ("time_s", "gait_percent", "cycle", "desired_force_n")
 """Signals of the trial that a file of residuals keeps, as far as they exist."""
@@ -75,7 +75,7 @@ class Residuals:
 
 
 def commands(described: WireLayout) -> Selection:
-    """The frames that a master sends: NMT, SYNC, targets, controlwords, SDO requests and its heartbeat."""
+    """Return the frames that a master sends: NMT, SYNC, targets, controlwords, SDO requests and its heartbeat."""
     requests = {SDO_REQUEST_BASE + node for node in described.nodes}
     return Selection(cob_ids=frozenset({
         NMT_COB_ID, SYNC_COB_ID, *(plan.cob_id for _, plan, _ in described.master_frames()), HEARTBEAT_BASE + MASTER,
@@ -83,7 +83,8 @@ def commands(described: WireLayout) -> Selection:
 
 
 def origin_ns(first_ns: int, first_command_ns: int) -> int:
-    """Bus time at which the recording's first frame lies: whole seconds away, so that every phase is kept.
+    """Return the bus time at which the recording's first frame is played: shifted by whole seconds, so that every phase
+    is kept.
 
     `first_command_ns` counts from that frame; the bench is to have booted by then.
     """
@@ -147,7 +148,8 @@ def _rms(values: Floats) -> float:
 
 
 def table(recorded: Trial, found: Residuals) -> tuple[tuple[Signal, ...], dict[str, Floats]]:
-    """Signals and columns of a file of residuals: each under its own name with `PREFIX`, and where in the gait."""
+    """Return signals and columns of a file of residuals: each under its own name with `PREFIX`, and the place in the
+    gait."""
     declared = {signal.name: signal for signal in SIGNALS}
     kept = {name: np.full(len(found.time_ns), np.nan) for name in _KEPT if name in recorded.columns}
     _, ours, theirs = np.intersect1d(found.time_ns, recorded.time_ns, return_indices=True)

@@ -125,7 +125,7 @@ class Player:
         return frame
 
     def next_ns(self) -> int | None:
-        """When `poll` has something to do: the next frame, or the end of this pass; None unless it plays."""
+        """Return the time of the next frame, or of the end of this pass; None unless it plays."""
         if self.status is not PlayerStatus.PLAYING:
             return None
         due = self._times[self._next] if self._next < len(self._times) else self.schedule.length_ns
@@ -145,7 +145,7 @@ class Player:
                 self._end()
 
     def lateness(self) -> Lateness:
-        """Median, 99th percentile (nearest rank) and largest lateness."""
+        """Return median, 99th percentile (nearest rank) and largest lateness, ns."""
         late = np.sort(np.array(self.lateness_ns, np.int64))
         if not len(late):
             return Lateness(0, 0, 0, 0)

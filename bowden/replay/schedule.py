@@ -130,7 +130,7 @@ def chosen_by(frames: Rows, selection: Selection) -> NDArray[np.bool_]:
 
 
 def nodes_of(frames: Rows) -> NDArray[np.int64]:
-    """Node of each frame by the pre-defined connection set (CiA 301, 7.3.5), −1 for extended identifiers."""
+    """Return the node of each frame by the pre-defined connection set (CiA 301, 7.3.5), −1 for extended identifiers."""
     can_id = frames["can_id"].astype(np.int64)
     broadcast = (can_id == NMT_COB_ID) | (can_id == SYNC_COB_ID) | (can_id == _TIME_COB_ID)
     node = np.where(broadcast, BROADCAST, can_id & _NODE_MASK)
@@ -146,7 +146,8 @@ def frame_of(row: np.void) -> Frame:
 
 
 def nmt_states(frames: Rows) -> dict[int, NmtState]:
-    """NMT state of every node after `frames`: by its heartbeats and boot-ups, and by the commands it was sent."""
+    """Return the NMT state of every node after `frames`: by its heartbeats and boot-ups, and by the commands it was
+    sent."""
     plain = frames["flags"] == 0
     can_id, dlc = frames["can_id"], frames["dlc"]
     commands = plain & (can_id == NMT_COB_ID) & (dlc >= 2)
@@ -164,10 +165,10 @@ def nmt_states(frames: Rows) -> dict[int, NmtState]:
 
 
 def restoration(schedule: Schedule, count: int, master: int = 127) -> list[tuple[Frame, int]]:
-    """Frames, each with its channel, that restore the bus to its state after `count` frames of the schedule.
+    """Return the frames, each with its channel, that restore the bus to its state after `count` frames of the schedule.
 
-    On every channel NMT commands for every node but `master`, then the last PDO of each COB-ID in the order of
-    arrival. Filtered frames are not sent.
+    On every channel NMT commands for every node but `master`, then the last PDO of each COB-ID in the order of arrival.
+    Filtered frames are not sent.
     """
     past = np.concatenate([schedule.before, schedule.frames[:count]])
     found = []

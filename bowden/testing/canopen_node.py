@@ -231,7 +231,7 @@ class CanopenNode:
         self._settle()
 
     def sample(self, counts: int, status: int = 0) -> None:
-        """Return a `nodes.TensionSensor` its next converter value, −2²³ … 2²³ − 1."""
+        """Pass the next converter value, −2²³ … 2²³ − 1, to a `nodes.TensionSensor` profile."""
         sensor = self._behaviour.profile
         if not hasattr(sensor, "sample"):
             raise InputError(f"node {self.node_id}: sample() needs "

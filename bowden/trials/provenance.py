@@ -61,7 +61,7 @@ def monitored(file: str) -> dict[str, str]:
 
 
 def course(experiment: ExperimentSetup) -> str:
-    """A digest of what knee and desired force are to do, to a millionth: a replay asks whether it has the same."""
+    """Return a digest of desired knee motion and force, to a millionth: a replay compares it with its own."""
     followed = experiment.reference if experiment.motion is None else experiment.motion
     wanted = [experiment.reference.at(i / 100) for i in range(100)]
     numbers = [round(value * 1e6) for i, at in enumerate(wanted)
@@ -75,7 +75,7 @@ def course(experiment: ExperimentSetup) -> str:
 
 
 def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[str, bytes]:
-    """The files that make the trial readable alone: configuration, calibration, packages, EDS files."""
+    """Return the files that make the trial readable alone: configuration, calibration, packages, EDS files."""
     from eds.bench.bench_network import FILES
     from eds.dictionary import packaged
     from physics.calibration import write
@@ -97,7 +97,7 @@ def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[s
 
 
 def curves(**files: Path | None) -> dict[str, bytes]:
-    """The files that a reference was made from, under their parts' names: knee.csv, desired.csv."""
+    """Return the files that a reference was made from, by their parts' names: knee.csv, desired.csv."""
     return {f"{part}.csv": path.read_bytes() for part, path in files.items() if path is not None}
 
 

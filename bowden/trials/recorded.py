@@ -66,7 +66,7 @@ def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = 
 
 
 def script(recorded: Trial) -> str:
-    """Name of the experiment that a trial ran in place of the gait; "" where it ran none that is known."""
+    """Return the name of the experiment that a trial ran in place of the gait; "" if none is known."""
     from physics.effects.separating_experiments import SCRIPTED
 
     named = recorded.metadata.get("experiment", "")
@@ -74,7 +74,7 @@ def script(recorded: Trial) -> str:
 
 
 def sections(recorded: Trial) -> dict[str, Any]:
-    """The configuration that a trial carries, as its checked sections; the defaults where it carries none."""
+    """Return the configuration that a trial carries, as its checked sections; the defaults if it carries none."""
     from bowden.bench import configuration
 
     if "bench.toml" not in recorded.attachments:
@@ -121,7 +121,7 @@ def _copies() -> Path:
 
 
 def calibration(recorded: Trial) -> Calibration:
-    """The calibration that a trial was run with; raises `InputError` where it carries none."""
+    """Return the calibration that a trial was run with; raises `InputError` if it carries none."""
     from physics.calibration import read
 
     with _unpacked(recorded, ("calibration.toml",)) as folder:

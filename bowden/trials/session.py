@@ -269,7 +269,7 @@ def _read(given: Path | BenchModel | None, bench: str = "") -> BenchModel | None
 
 
 def _bench(chosen: BusSettings) -> str:
-    """The bench that a calibration must belong to: one simulated from measurements of a bench is that bench."""
+    """Return the bench that a calibration must belong to: that of a simulated model if it was measured on a bench."""
     from physics import bench_model
 
     simulated = chosen.arguments.get("plant_model")

@@ -26,7 +26,7 @@ HEAR_ROWS: Final = 100
 LOOK_S: Final = 0.1
 """Time between two looks at the file, s: as often as a recorder writes."""
 NICE: Final = 5
-"""Lower priority of the watch than of the trial."""
+"""Niceness added to the watch, so that the trial has priority."""
 READY, CYCLE_DONE, STEP, END, DIAGNOSIS, REFUSED = "ready", "cycle", "step", "end", "diagnosis", "refused"
 
 

@@ -87,7 +87,7 @@ class _Unknown(NamedTuple):
 
 
 END_LAG = "end_lag"
-"""The one unknown of the fit that no calibration keeps: END is not in the loop."""
+"""Name of END's lag among the unknowns: no calibration stores it, since END is not in the loop."""
 _UNKNOWNS = (
     _Unknown("stiffness_a", 1e-7, -2e-5, 0.0), _Unknown("stiffness_b", 1e-5, 2e-5, 2e-3),
     _Unknown("rope_zero", 1e-4, -0.5, 0.5), _Unknown("stretch_short", 1e-5, -1e-4, 4e-3, 2e-4),
@@ -104,7 +104,7 @@ _UNKNOWNS = (
     _Unknown(END_LAG, 5e-4, 0.0, 0.02, 1e-3),
 )
 WEIGHT = 20.0
-"""Square root of the number of residuals as which one segment counts."""
+"""Square root of the effective number of residuals of one segment."""
 SLID_M = 2e-3
 BELIEVED_N = 0.3
 """Assumed error of the model over a segment, N: scales the prior of an unknown in the joint fit."""
@@ -126,7 +126,7 @@ def rest(segments: Sequence[Segment]) -> Rest:
 
 
 def start_at_rest(segments: Sequence[Segment]) -> dict[str, Measured]:
-    """START's offset and noise, N, by the calibration's names, with their intervals."""
+    """Return START's offset and noise, N, by the calibration's names, with their intervals."""
     still, parts = rest(segments), [
         part for s in _of(segments, "rest") for part in np.array_split(s.start, LAPS)]
     return {"start_offset": Measured(still.start_offset, float(half_width(parts, _mean))),
@@ -142,19 +142,19 @@ def _noise(parts: Sequence[Array]) -> float:
 
 
 def stiffness(segments: Sequence[Segment], offset_n: float) -> LineFit:
-    """(10) as the paper fits it: rope position over START tension, quadratic, through pulls and releases."""
+    """Fit (10) as the paper does: rope position over START tension, quadratic, through pulls and releases."""
     return _line([(s.start - offset_n, s.position) for s in _of(segments, "stiffness")], 2)
 
 
 def swing(segments: Sequence[Segment]) -> LineFit:
-    """(11) as the paper fits it: rope position over knee angle at a constant START tension, linear."""
+    """Fit (11) as the paper does: rope position over knee angle at a constant START tension, linear."""
     laps = [zip(np.array_split(s.knee, LAPS), np.array_split(s.position, LAPS), strict=True)
             for s in _of(segments, "swing")]
     return _line([lap for swings in laps for lap in swings], 1)
 
 
 def bandwidth(segments: Sequence[Segment]) -> Measured:
-    """Bandwidth, Hz, of the first-order lag from the delayed target to rope position."""
+    """Return the bandwidth, Hz, of the first-order lag from the delayed target to rope position."""
     moving = [segment for segment in segments if segment.kind in ("stiffness", "ramp")]
     if not moving:
         raise InputError("identification: no loop among the recorded experiments; run identify stiffness or friction.")
@@ -250,7 +250,7 @@ def _with(guess: Calibration, point: Array) -> Calibration:
 
 
 def _averaged(segment: Segment, offsets: Rest) -> Segment:
-    """Points of about `POINT_M` of rope travel, at least one control cycle, each a mean; offsets taken off."""
+    """Return points of about `POINT_M` of rope travel, at least one control cycle, each a mean, without the offsets."""
     travel = float(np.median(np.abs(np.diff(segment.target)))) or POINT_M
     points = int(np.clip(round(POINT_M / travel), 1, 25))
     columns = [smoothed(column, points) for column in segment[2:7]]
@@ -283,8 +283,8 @@ def _told_by_end(segment: Segment) -> bool:
 
 
 def _slid(segment: Segment) -> Any:
-    """Samples with known slip directions of rope and fabric: from slack at once, from tension after `SLID_M` of rope.
-    """
+    """Return a mask of the samples with known slip directions of rope and fabric: from slack at once, from tension
+    after `SLID_M` of rope."""
     if segment.start[0] <= 2.0 * TAUT_N:
         return True
     return np.cumsum(np.abs(np.diff(segment.position, prepend=segment.position[0]))) > SLID_M
@@ -301,7 +301,8 @@ def _ended(found: Array, low: Array, high: Array) -> Any:
 
 
 def _lack(residuals: Array, told: int) -> float:
-    """Standard deviation, in the unit of the residuals, of a segment's systematic error in END or in position.
+    """Return the standard deviation, in the unit of the residuals, of a segment's systematic error in END or in
+    position.
 
     The residual after the fit is model error and not noise: it is correlated along a motion, so END and position of
     each segment count as one number each; `told` is their count. Never below `BELIEVED_N`, which the priors were
@@ -326,7 +327,8 @@ def _covariance(slopes: Array, lack: float, prior: Array, believed: float) -> Ar
 
 
 def _jackknife(slopes: Array, residuals: Array, sizes: Sequence[int], prior: Array) -> Array:
-    """Standard errors of the unknowns when one segment at a time is left out; `prior`: rows that always stay."""
+    """Return the standard errors of the unknowns when one segment at a time is left out; `prior`: rows that always
+    stay."""
     scale = np.sqrt(np.maximum((slopes**2).sum(axis=0), 1e-300))
     scaled, kept, edges = slopes / scale, prior / scale, np.cumsum([0, *sizes])
     whole = scaled.T @ scaled + kept.T @ kept

@@ -50,12 +50,12 @@ class HomingFit(NamedTuple):
 
 
 def smoothed(column: Array, points: int = SMOOTHED) -> Array:
-    """Means of `points` samples each; a remainder at the end is omitted."""
+    """Return the means of `points` samples each; a remainder at the end is omitted."""
     return np.asarray(column[: len(column) // points * points].reshape(-1, points).mean(axis=1))
 
 
 def lag_compensated(column: Array, period_s: float, lag_s: float) -> Array:
-    """A column as it would read without its lag, to the first order."""
+    """Return a column with its lag compensated, to the first order."""
     return np.asarray(column + lag_s * np.gradient(column, period_s))
 
 
@@ -72,10 +72,11 @@ def adapt(
     calibration: Calibration, period_s: float, position: Array, start: Array, knee: Array, slack_reading_n: float,
     lag_s: float = 0.0,
 ) -> Generator[None, None, HomingFit]:
-    """Fit the day to one pull and release by Gauss–Newton, Huber's weights; columns by control cycle, m, N, rad.
+    """Fit the session's deviations to one pull and release by Gauss–Newton steps with Huber's weights; columns by
+    control cycle, m, N, rad.
 
-    The residual is the rope position that the model puts behind the measured START, where the rope is taut.
-    A generator, so that a control cycle can go on between its steps; it returns the day.
+    The residual is the rope position by the model for the measured START, less the measured one, where the rope is
+    taut. A generator, so that a control cycle runs between its steps; it returns a `HomingFit`.
     """
     step_s = SMOOTHED * period_s
     pull = smoothed((start - slack_reading_n) / calibration.start_gain)
@@ -100,7 +101,8 @@ def adapt(
 
 
 def _missed(calibration: Calibration, step_s: float, loop: _Loop, found: Array) -> Array:
-    """Rope position that the model puts behind START, less the measured one, m, where the rope is taut."""
+    """Return the rope position by the model for the measured START, less the measured one, m, where the rope is taut.
+    """
     friction, softness, zero, creep = found.tolist()
     law = inverse.law(calibration, step_s, friction, softness)
     end, position = inverse.end_from_start(law, loop.position - zero, loop.start, loop.knee)

@@ -26,7 +26,7 @@ class LineFit(NamedTuple):
 
     @property
     def evidence(self) -> tuple[ScalarEvidence, ...]:
-        """Evidence of each coefficient."""
+        """Return the evidence of each coefficient."""
         return tuple(ScalarEvidence(value - half, value + half, self.r_squared)
                      for value, half in zip(self.coefficients, self.half, strict=True))
 
@@ -39,12 +39,12 @@ class Measured(NamedTuple):
 
     @property
     def evidence(self) -> ScalarEvidence:
-        """Evidence of the value."""
+        """Return the evidence of the value."""
         return ScalarEvidence(self.value - self.half, self.value + self.half)
 
 
 def half_width(parts: Sequence[Part], estimate: Callable[[list[Part]], Any]) -> NDArray[np.float64]:
-    """Half of the 95 % interval of `estimate`, in its unit and shape; NaN where there are fewer than two parts.
+    """Return half of the 95 % interval of `estimate`, in its unit and shape; NaN for fewer than two parts.
 
     `estimate` takes a list of parts and gives a number or an array of them.
     """

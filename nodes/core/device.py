@@ -193,7 +193,7 @@ class Device:
         self.pdos.look(now_ns)
 
     def restart(self, whole_node: bool, now_ns: int) -> None:
-        """Return objects their power-on values (all of them, or 0x1000–0x1FFF) and begin anew with them."""
+        """Set objects to their power-on values (all of them, or 0x1000–0x1FFF) and begin anew with them."""
         if whole_node:
             self.emcy.forget_all()
             self.lss.recall()

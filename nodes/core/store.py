@@ -67,7 +67,7 @@ class Store(Part):
             self._replace(self._stored)
 
     def restore(self, whole_node: bool) -> None:
-        """Return objects their stored or default values: all of them, or 0x1000–0x1FFF."""
+        """Set objects to their stored or default values: all of them, or 0x1000–0x1FFF."""
         for at, value in self._defaults.items():
             if whole_node or at >> 8 < 0x2000:
                 self._device.values[at] = self._stored.get(at, value)

@@ -34,7 +34,7 @@ def carried(seed: int, share: float = 0.0, most: int | None = None, step: float 
 @pytest.mark.parametrize("ages", [False, True])
 @pytest.mark.parametrize("share", [0.03, 0.15])
 def test_lost_values_are_told_and_cannot_be_told_from_values_that_come_much_later(share: float, ages: bool) -> None:
-    told = wire_faults.examine([carried(1, share, ages=ages)], [carried(2)]).told
+    told = wire_faults.examine([carried(1, share, ages=ages)], [carried(2)]).faults
     assert [t.effect.name for t in told] == ["lost_pdo", "late_pdo"]
     # four standard deviations of a share of 24 000 values are 0.01
     assert told[0].values["lost_share"] == pytest.approx(share, abs=0.012)
@@ -44,7 +44,7 @@ def test_lost_values_are_told_and_cannot_be_told_from_values_that_come_much_late
 @pytest.mark.parametrize(("most", "ages"), [(1, True), (3, True), (3, False)])
 def test_late_values_are_told_with_their_delay(most: int, ages: bool) -> None:
     found = wire_faults.examine([carried(1, 0.4, most, ages=ages)], [carried(2)])
-    assert [t.effect.name for t in found.told] == ["late_pdo"]
+    assert [t.effect.name for t in found.faults] == ["late_pdo"]
     late = found.causes()[0]["parameters"]
     assert late["late"]["value"] == pytest.approx(1e-3 * most)
     assert late["late_share"]["value"] == pytest.approx(0.4, abs=0.02)
@@ -52,13 +52,13 @@ def test_late_values_are_told_with_their_delay(most: int, ages: bool) -> None:
 
 def test_a_coarse_grid_is_told_with_its_step_and_is_not_taken_for_lost_values() -> None:
     found = wire_faults.examine([carried(1, step=0.8)], [carried(2)])
-    assert [t.effect.name for t in found.told] == ["quantisation"]
+    assert [t.effect.name for t in found.faults] == ["quantisation"]
     assert found.causes()[0]["parameters"]["quantum"]["value"] == pytest.approx(0.8)
     assert found.figures["start_sensor"].rmse_before == pytest.approx(0.8 / np.sqrt(12.0))
 
 
 def test_healthy_values_are_left_in_peace() -> None:
-    assert wire_faults.examine([carried(1)], [carried(2), carried(3)]).told == []
+    assert wire_faults.examine([carried(1)], [carried(2), carried(3)]).faults == []
 
 
 def test_the_law_of_ages_counts_every_value_once() -> None:

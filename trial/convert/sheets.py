@@ -308,7 +308,7 @@ def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], remarks: list[
 
 
 def _shortest(names: list[str]) -> list[str]:
-    """Let a structure's field go by its own name where that is a signal's and stands once."""
+    """Return the names of a structure's fields without the structure's if the short name is a signal's and unique."""
     last = [name.rsplit(".", 1)[-1] for name in names]
     return [short if csv_file.reserved(short) and last.count(short) == 1 else name
             for name, short in zip(names, last, strict=True)]
