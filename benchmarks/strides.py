@@ -33,9 +33,9 @@ INTERRUPTED = {"stumbles": 2, "stops": 2, "sits": 1}
 MIGRATION_MM, WALK_S = 5.0, 85.0
 """Shift of the rope's zero in a walk, mm, which takes about so long, s."""
 WALKS: tuple[dict[str, Any], ...] = tuple(
-    {"kind": kind, "serial": serial, "seed": 1000 + i, "migration_mm": MIGRATION_MM if i % 2 else -MIGRATION_MM}
-    for i, (kind, serial) in enumerate([*(("own", serial) for serial in (1, 3, 5, 7) for _ in range(5)),
-                                        *(("family", serial) for serial in range(0, 40, 2))]))
+    {"kind": kind, "serial": serial, "seed": 1000 + i, "migration_mm": MIGRATION_MM if i % 4 < 2 else -MIGRATION_MM}
+    for i, (kind, serial) in enumerate([
+        bench for k in range(20) for bench in (("own", (1, 3, 5, 7)[k % 4]), ("family", 2 * k))]))
 """Walks of the page: kind and serial of a bench, seed of the walk and of the noise, migration, mm."""
 MOVES_HZ = 0.001
 """Frequency of the sine by whose beginning the own plant's zero moves, Hz: nearly a straight line in a walk."""
