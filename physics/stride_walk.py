@@ -98,7 +98,7 @@ class _Part(NamedTuple):
 def mean(strides: Sequence[Stride]) -> tuple[Array, Array]:
     """Return percents 0 … 99 and the mean angle of strides there, rad: what a wearer's template is."""
     percent = np.arange(100.0)
-    return percent, np.mean([_curve(stride)(percent / 100.0) for stride in strides], axis=0)
+    return percent, np.mean([curve(stride)(percent / 100.0) for stride in strides], axis=0)
 
 
 def walk(strides: Sequence[Stride], variation: Variation, lap: Array, period_s: float, first: int, rest: int,
@@ -148,16 +148,16 @@ def _parts(strides: Sequence[Stride], variation: Variation, samples: int, period
 
 def _stride(stride: Stride, length: int, size: float, samples: int, tripped: int = 0, begins: float = 1.0) -> _Part:
     """Return a stride of `length` samples, its amplitude about its mean times `size`, with a stumble of `tripped`."""
-    curve, at = _curve(stride, size), begins * length
+    angle_at, at = curve(stride, size), begins * length
     if not tripped:
-        return _Part(WALK, length, lambda t: curve(t / length), lambda t: t / length, _half(samples))
+        return _Part(WALK, length, lambda t: angle_at(t / length), lambda t: t / length, _half(samples))
 
     def angle(t: Array) -> Array:
         u = np.clip((t - at) / tripped, 0.0, 1.0)
         # the stride leaves and is joined again at full speed, and gains nothing between
         halted = at + tripped * (u * (1.0 - u) * (1.0 - 2.0 * u))
         progress = np.where(t < at, t, np.where(t < at + tripped, halted, t - tripped))
-        return curve(progress / length) + TRIPPED_RAD * np.sin(np.pi * u) ** 2
+        return angle_at(progress / length) + TRIPPED_RAD * np.sin(np.pi * u) ** 2
 
     def phase(t: Array) -> Array:
         inside = (t >= at) & (t < at + tripped)
@@ -173,7 +173,7 @@ def _resting(kind: str, period_s: float) -> _Part:
                  lambda t: np.full(t.size, np.nan), half)
 
 
-def _curve(stride: Stride, size: float = 1.0) -> Callable[[Array], Array]:
+def curve(stride: Stride, size: float = 1.0) -> Callable[[Array], Array]:
     """Return the angle, rad, of a stride by its phase 0 … 1, continued by a tangent that fades."""
     from scipy.interpolate import CubicSpline
 

@@ -53,7 +53,7 @@ NORMAL_STRETCH = NORMAL_FORCE + FORCE_TERMS * (FORCE_TERMS + 1)
 STATES = NORMAL_STRETCH + STRETCH_TERMS * (STRETCH_TERMS + 1)
 
 (PERIOD_S, BANDWIDTH, CYCLES, LEARNED, ROPE_PER_KNEE, KNEE_HOME, ROPE_COMPLIANCE, PRESLIDING, INERTIA, COULOMB, VISCOUS,
- OFFSET, C0, C1, C2, TOP_N, LOW, HIGH, KNOWN_FLOW, WITH_END, WITH_KNEE, SETTINGS) = range(22)
+ OFFSET, C0, C1, C2, TOP_N, LOW, HIGH, KNOWN_FLOW, WITH_END, WITH_KNEE, STICKS, SETTINGS) = range(23)
 
 LEARNING, LEARNT = 0.0, 1.0
 TRACK_M, TRACK_SHARE = 1.5e-3, 0.35
@@ -75,7 +75,9 @@ SAME_FOR_S: Final = 0.012
 FROZEN, FROZEN_M = 3.0, 0.1e-3
 """Frozen servo position: cycles at one value, and motion of the target meanwhile, m, from which it is the cause of
 another finding."""
-STILL_M, STILL_RAD = 0.3e-3, 1.5e-3
+STILL_M, STILL_RAD, STILL_RAD_S = 0.3e-3, 1.5e-3, 0.15
+"""Distance, m and rad, by which a target may go on while its encoder repeats one value, and the speed, rad/s, at which
+a knee that turns back may stick where strides differ, up to twice `STILL_RAD`: a healthy one stuck for 10 ms."""
 PERSIST: Final = 2.0
 """Cycles in a row beyond a tolerance that make a finding: one alone is a disturbed frame.  In 500 healthy trials not
 even a single cycle passed a tolerance (`make healthy`).  Larger: each cycle adds 50 degrees/s to a knee that a
@@ -114,7 +116,8 @@ def _tracking(s: Any, g: Any, limited: float, target: float, knee_target: float,
         moved = abs(s[K1] - s[K2]) + abs(knee_target - s[K1])
         reached = _held(knee, min(s[K1], s[K2]), max(s[K1], s[K2]))
         _compare(s, KNEE_TRACK, knee, reached, KNEE_RAD + KNEE_S * moved / g[PERIOD_S])
-        _standing(s, STILL_KNEE, SAME_KNEE, knee, s[K2], STILL_RAD)
+        sticks = min(STILL_RAD, g[STICKS] * g[PERIOD_S] * s[SAME_KNEE])
+        _standing(s, STILL_KNEE, SAME_KNEE, knee, s[K2], STILL_RAD + sticks)
     else:
         s[OLD_KNEE] = knee
     s[T2], s[T1], s[K2], s[K1] = s[T1], target, s[K1], knee_target
@@ -366,6 +369,10 @@ class Plausibility:
         g[INERTIA], g[COULOMB], g[VISCOUS] = 2.4, 2.0, 15.0
         g[LOW], g[HIGH] = -WIDE / 1.3, WIDE / 1.3
         g[TOP_N], g[WITH_END], g[WITH_KNEE] = 40.0, float(with_end), float(with_knee)
+
+    def expect_strides(self) -> None:
+        """Allow for the sticking of a knee that turns back slowly, as where strides differ."""
+        self.g[STICKS] = STILL_RAD_S
 
     def restart(self) -> None:
         """Clear the memory of earlier cycles: after a gap, a change of the zero or of the mode."""

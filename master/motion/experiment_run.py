@@ -285,6 +285,8 @@ class Planned:
         exchange.guard.repetition = Repetition(wanted.peak_n, self.table.period_s, wanted.period_s,
                                                with_rope=exchange.knee_driven,
                                                migration_m=self.experiment.walk.migration[0])
+        if self.experiment.walk.differs:
+            exchange.plausibility.expect_strides()
 
     def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
         """Run in, start softly, run the gait and run out; `before` cycles came earlier."""

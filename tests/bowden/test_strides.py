@@ -16,12 +16,13 @@ from tests.stride_files import written
 STRIDES = 4
 
 
-def trial(folder: Path, capsys: pytest.CaptureFixture[str], name: str, *options: str) -> dict[str, Any]:
+def trial(folder: Path, capsys: pytest.CaptureFixture[str], name: str, *options: str, status: int = 0
+          ) -> dict[str, Any]:
     knee = written(folder / "strides.csv")
-    status = run(["trial", "--knee", str(knee), "--period", "1.2", "--strides", str(STRIDES), "--controller",
-                  "extended", "--seed", "2", "-o", str(folder / name), "--json", *options])
+    ended = run(["trial", "--knee", str(knee), "--period", "1.2", "--strides", str(STRIDES), "--controller",
+                 "extended", "--seed", "2", "-o", str(folder / name), "--json", *options])
     told = capsys.readouterr().out
-    assert status == 0, told
+    assert ended == status, told
     return json.loads(told)
 
 
@@ -83,11 +84,11 @@ def test_what_cannot_be_walked_is_refused(
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("migration_m", [6e-3, -6e-3])
-def test_a_garment_that_migrates_stops_no_trial(
+@pytest.mark.parametrize("migration_m", [6e-3, -6e-3, 30e-3, -30e-3])
+def test_a_garment_that_migrates_stops_no_trial_but_beyond_the_stated_range(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], migration_m: float
 ) -> None:
-    """The zero moves by 0.1 mm a stride, which is followed."""
+    """The zero moves by 0.1 mm a stride, which is followed, or by 0.6 mm, which is more than is followed."""
     from trial import read
 
     model = tmp_path / "migrating.toml"
@@ -101,9 +102,13 @@ unit = "m"
 part = "rope"
 words = "zero of the rope"
 """, encoding="utf-8")
-    found = trial(tmp_path, capsys, "walk.mcap", "--strides", "16", "--plant-model", str(model))
-    assert found["outcome"] == "completed"
+    stops = abs(migration_m) > 6e-3
+    found = trial(tmp_path, capsys, "walk.mcap", "--strides", "16", "--plant-model", str(model), status=int(stops))
     followed = read.open(tmp_path / "walk.mcap").columns["followed_zero_m"]
     assert np.nanmax(np.abs(followed)) > 0.8e-3
+    if stops:
+        assert "that slipped" in found["stop_reason"]
+        return
+    assert found["outcome"] == "completed"
     assert found["walk"]["rmse_percent"]["worst"] < 2.0
     assert found["walk"]["idle_n"] < 2.0

@@ -93,6 +93,18 @@ def test_a_servo_that_was_held_back_needs_time_to_make_up_for_it(limited_m: floa
     assert next((each.relation for each in told if each), None) == found
 
 
+@pytest.mark.parametrize(("strides", "rad_s", "found_ms"), [(True, 0.1, 33), (True, 2.0, 5), (False, 0.1, 19)])
+def test_a_knee_that_turns_back_may_stick_where_strides_differ(strides: bool, rad_s: float, found_ms: int) -> None:
+    """The encoder repeats one value while the target turns back at a speed."""
+    checked = Plausibility(1e-3)
+    if strides:
+        checked.expect_strides()
+    told = [checked.check(0.0, (0.01, -0.5 - 1e-3 * rad_s * max(0, i - 40)), 0.01 + 1e-6 * (i % 2), 0.0, -0.5,
+                          0.1 * (i % 2), 0.1 * (i % 2)) for i in range(80)]
+    found = [i - 40 for i, one in enumerate(told) if one and one.relation == plausibility.STILL_KNEE]
+    assert found[0] == found_ms
+
+
 def test_a_swing_that_does_not_fit_is_told_with_both_numbers() -> None:
     finding = Implausibility(plausibility.BY_START, 3e-3, 11e-3, ratios(start=-2.0, end=-2.0), 0.0809, 0.0405)
     stop = blamed(finding, PATH)
