@@ -91,5 +91,6 @@ def _constants(model: RigModel, fitted: ReferenceFit) -> dict[str, Constant]:
     for name, own in quantities(fitted, lambda v: {n: read(v, v) for n, read in model.stated().items()}, 1.0).items():
         if own.determined:
             (low, high), unit = ESTIMATED[name].rig_bounds, model.rig.unit(ESTIMATED[name].unit)
-            found[name] = Constant(*(min(max(each, low), high) for each in (own.value, *own.interval())), unit, True)
+            inside = [min(max(each, low), high) for each in (own.value, *own.interval())]
+            found[name] = Constant(inside[0], inside[1], inside[2], unit, True)
     return found

@@ -7,7 +7,7 @@ from typing import Final
 
 from diagnosis.laws.law_result import Laws
 from diagnosis.report.law_section import AXES
-from trial.report.words import hand
+from trial.report.words import display_unit
 
 SIGNALS: Final = {"tension_start_n": "START", "tension_end_n": "END", "servo_force_n": "servo force"}
 
@@ -22,7 +22,7 @@ def draw(laws: Laws, path: Path) -> None:
     panels = figure.subplots(1, max(1, len(laws.terms)), squeeze=False)[0]
     for axes, term, picture in zip(panels, laws.terms, laws.pictures, strict=False):
         axis, si = AXES[picture.variable]
-        unit, factor = hand(si)
+        unit, factor = display_unit(si)
         axes.plot(factor * picture.at, picture.residual, ".", ms=1.5, color="0.75",
                   label="measured less model without the term")
         at, *lines = picture.means()

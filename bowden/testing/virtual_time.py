@@ -164,7 +164,7 @@ class VirtualTime:
 
 
 class Over:
-    """True as soon as a wait is over or a message waits for its listeners."""
+    """Buffer that `Kernel.run` reads: true once a wait is over or a message waits for its listeners."""
 
     def __init__(self, done: Callable[[], bool], queues: Sequence[Sized]) -> None:
         self._done, self._queues = done, queues

@@ -9,7 +9,7 @@ from diagnosis.laws.law_result import Laws
 from diagnosis.report.headline import law_sentences
 from diagnosis.report.plots import AFTER, BEFORE
 from trial.report.page import Named, Page, Series
-from trial.report.words import hand, words
+from trial.report.words import display_unit, words
 
 AXES: Final[Mapping[str, tuple[str, str]]] = {
     "time_s": ("time", "s"), "position_m": ("rope position", "m"), "speed_m_s": ("rope speed", "m/s"),
@@ -28,7 +28,7 @@ def section(page: Page, laws: Laws) -> None:
              f.high) for name, f in laws.errors.items()])
     for picture in laws.pictures:
         axis, si = AXES[picture.variable]
-        unit, factor = hand(si)
+        unit, factor = display_unit(si)
         at, residual, law = picture.means()
         page.plot(f"{words(picture.output)}: residual over {axis}", factor * at, [
             Series("measured less model without the term", residual, BEFORE, width=2.2, tip=picture.output),

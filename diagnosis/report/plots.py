@@ -14,7 +14,7 @@ from diagnosis.compared_signals import Compared
 from diagnosis.report.residuals import binned, bins_of, by_direction, joined, rms
 from trial.report.packing import broken
 from trial.report.page import Page, Series
-from trial.report.words import hand, words
+from trial.report.words import display_unit, words
 
 BEFORE, ADAPTED, AFTER, MEASURED = "#c2410c", "#15803d", "#2563eb", "#6b7280"
 SIDES: Final = (("gait_percent", "gait phase", "%"), ("tension_start_n", "START", "N"),
@@ -83,7 +83,7 @@ def residuals(page: Page, sides: Mapping[str, Sequence[Compared]], turning: bool
             if along.size and float(np.ptp(along)) > 0.0:
                 if turning and signal == "servo_position_m":
                     word, si = "angle", "rad"
-                shown, factor = hand(si)
+                shown, factor = display_unit(si)
                 centres = factor * binned(along, before, bins_of(along.size))[0]
                 page.plot(f"{words(name)} by {word}", centres, _banded(along, before, after, named),
                           f"{word} ({shown})", unit, linked=f"{signal} bins", height=190)

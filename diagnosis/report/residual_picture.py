@@ -18,7 +18,7 @@ from diagnosis.report.plots import ADAPTED, AFTER, BEFORE, MEASURED
 from diagnosis.report.residuals import binned, bins_of, joined
 from trial.report.loop import Loop, picture
 from trial.report.page import Page, Series
-from trial.report.words import hand, words
+from trial.report.words import display_unit, words
 
 Array = NDArray[np.float64]
 ALONG: Final = (("gait_percent", "%", "gait phase"), ("servo_position_m", "m", "position"), ("time_s", "s", "time"))
@@ -83,7 +83,7 @@ def loop_section(page: Page, found: Findings, turning: bool = False) -> None:
     if not np.isfinite(x).any() or float(np.ptp(x[np.isfinite(x)])) <= 0.0:
         return
     unit = "N" if over == "tension_end_n" else "rad" if turning else "m"
-    shown, factor = hand(unit)
+    shown, factor = display_unit(unit)
     across, up = ("position" if turning else words(over)), words(name)
     sides = (("measured", MEASURED, 4.5), (REFERENCE, BEFORE, 1.8), (SESSION, ADAPTED, 1.8), (NAMED, AFTER, 1.8))
     page.heading(f"The loop: {up} over {across}")
@@ -134,7 +134,7 @@ def residual(found: Findings, turning: bool = False) -> MeanResidual | None:
         return None
     name, parts = best[0], found.traces[best[0]]
     for signal, si, word in ALONG:
-        unit, factor = hand("rad" if turning and si == "m" else si)
+        unit, factor = display_unit("rad" if turning and si == "m" else si)
         along, before, after = joined(parts, signal)
         if along.size and float(np.ptp(along)) > 0.0:
             bins = bins_of(along.size)

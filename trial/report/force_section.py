@@ -17,7 +17,7 @@ from trial.read import Trial, TrialFile
 from trial.report.overview import ERROR, HIGH, LOW, SINGLE_CYCLES, GaitCycles, Overview, gait_cycles
 from trial.report.page import Page, Series
 from trial.report.setting import TrialSetting, known, seconds
-from trial.report.words import hand, words
+from trial.report.words import display_unit, words
 from trial.signals import UNITS
 
 Floats = NDArray[np.float64]
@@ -60,7 +60,7 @@ def over_time(
     colours: Mapping[str, str] = COLOURS, height: int = 240, marks: Sequence[float] = (), band: Band | None = None,
 ) -> None:
     """Plot columns of a reduced trial over its time (s), with marks at times."""
-    shown, factor = hand(unit)
+    shown, factor = display_unit(unit)
     along, values = seconds(trial, trial.time_ns), [
         factor * column for column in (*columns.values(), *(band[2:] if band else ()))]
     lines = [Series(_words(name), column, colours.get(name, OTHER), dash=name in DASHED, tip=name)

@@ -43,7 +43,7 @@ def words(name: str) -> str:
     return f"{path}: {text}" if dot else text
 
 
-def hand(unit: str) -> tuple[str, float]:
+def display_unit(unit: str) -> tuple[str, float]:
     """Return the unit in which a page shows values of an SI unit, and the factor to it."""
     return UNITS.get(unit, (unit, 1.0))
 
@@ -52,7 +52,7 @@ def quantity(value: float | None, unit: str = "", digits: int = 3) -> str:
     """Return a value in an SI `unit` as text, with a prefixed unit and `digits` significant digits."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
-    shown, factor = hand(unit)
+    shown, factor = display_unit(unit)
     value *= factor
     if shown in SMALLER and 0.0 < abs(value) < SMALL:
         shown, factor = SMALLER[shown]
@@ -72,5 +72,5 @@ def _rounded(value: float, digits: int) -> str:
 
 def axis(name: str, unit: str) -> str:
     """Return the label of an axis: a signal in words, with the unit shown."""
-    shown = hand(unit)[0]
+    shown = display_unit(unit)[0]
     return f"{words(name)} ({shown})" if shown else words(name)

@@ -69,12 +69,13 @@ def scattered(
 
 
 def draw(occasion: str, spread: Spread, *numbers: int) -> float:
-    """Return this parameter's random number, −1 … 1, for the numbers of one draw."""
+    """Return a parameter's random number, −1 … 1; `numbers`: serial, or serial and day, which seed its own stream."""
     return 2.0 * float(stream(f"{occasion} {spread.group} {spread.name}", *numbers).random()) - 1.0
 
 
 def stream(name: str, *numbers: int) -> np.random.Generator:
-    """Return the stream of random numbers that belongs to a name and some numbers."""
+    """Return the random-number generator of a name, seeded by `numbers`; other names and numbers have independent ones.
+    """
     return np.random.Generator(np.random.Philox(np.random.SeedSequence([zlib.crc32(name.encode()), *numbers])))
 
 
