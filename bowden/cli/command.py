@@ -51,7 +51,7 @@ PANELS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({
     "Bench": ("init", "check", "doctor", "home", "tare", "jog", "release", "acknowledge", "safety-monitor", "identify"),
     "Model": ("fit", "simulate", "plan", "discover", "mend"),
     "CAN": ("node", "lss", "monitor", "record"),
-    "Months": ("logbook",),
+    "Logbook": ("logbook",),
 })
 """Commands by panel of `bowden --help`, in the order of a first day."""
 

@@ -75,7 +75,7 @@ Healthy = Annotated[list[Path] | None, typer.Option(
     metavar="TRIAL", help="Reference trial of the healthy bench; repeatable.")]
 StopOn = Annotated[list[str] | None, typer.Option(
     metavar="EFFECT", autocompletion=effects,
-    help="With --watch: safe stop where this effect, or any, costs 2 % of the peak; repeatable.")]
+    help="With --watch: safe stop if this effect, or any, costs 2 % of the peak; repeatable.")]
 
 Peak = Annotated[float | None, _given("Peak of the desired force, N (default 40).", metavar="N")]
 Period = Annotated[float | None, _given("Gait period, s (default 2.0, or the knee file's stride).", metavar="S")]
@@ -102,16 +102,16 @@ Desired = Annotated[Path | None, _file(
 Calibration = Annotated[Path | None, _file("Bench model to work from (default: the packaged nominal one).")]
 Script = Annotated[str | None, typer.Option(
     "--experiment", metavar="NAME", autocompletion=experiments,
-    help=f"In place of the gait, one that separates effects: {', '.join(SCRIPTED)}; or repeat, with --motion-of.")]
+    help=f"Experiment in place of the gait, to separate effects: {', '.join(SCRIPTED)}; or repeat, with --motion-of.")]
 MotionOf = Annotated[Path | None, _file(
     "Repeat the rope and knee motion of this recorded trial, with its gait and settings (--experiment repeat).",
     "--motion-of")]
-ControllerModel = Annotated[Path | None, _file("Bench model whose effects the controller knows of.")]
+ControllerModel = Annotated[Path | None, _file("Bench model whose effects the controller compensates.")]
 DryRun = Annotated[bool, _given("Everything on the bus, drives never enabled.", "--dry-run")]
 
 Serial = Annotated[int | None, typer.Option(
     metavar="NUMBER", autocompletion=serials, help="Simulated bench: its serial number (default 1).")]
-Day = Annotated[int | None, _given("Simulated bench: the day (default 0).", metavar="NUMBER")]
+Day = Annotated[int | None, _given("Simulated bench: number of the session (default 0).", metavar="NUMBER")]
 Seed = Annotated[int | None, _given("Simulated bench: seed of the noise (default 0).", metavar="NUMBER")]
 Plant = Annotated[str | None, typer.Option(metavar="NAME", help="Simulated bench: its plant (default bowden).")]
 PlantModel = Annotated[Path | None, _file("Simulated bench: bench model or plant tables, TOML.")]
@@ -122,10 +122,10 @@ Interface = Annotated[str | None, _given(
 Channel = Annotated[str | None, _given("Channel of that interface, such as can0.", metavar="NAME")]
 Bitrate = Annotated[int | None, _given("bit/s; default from [network].", metavar="BIT/S")]
 RaiseLimits = Annotated[str | None, _given(
-    "Run with limits above the packaged ones; the reason stands in the trial.", "--raise-limits", metavar="REASON")]
+    "Run with limits above the packaged ones; the trial records the reason.", "--raise-limits", metavar="REASON")]
 HomingForce = Annotated[float | None, _given(
     "START tension that homing may reach whatever the peak is (default 12).", "--homing-n", metavar="N")]
-Extra = Annotated[list[str] | None, typer.Option("--option", metavar="K=V", help="For the interface; repeatable.")]
+Extra = Annotated[list[str] | None, typer.Option("--option", metavar="K=V", help="Interface option; repeatable.")]
 ForcePath = Annotated[str | None, typer.Option(
     "--path", metavar="NAME", autocompletion=declared_paths,
     help="Force path of a bench of several, or joint of an arm.")]

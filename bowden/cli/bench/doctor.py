@@ -15,7 +15,7 @@ from parameters import InputError
 if TYPE_CHECKING:
     from master.network.doctor import DoctorFinding
 
-Seconds = Annotated[float, typer.Option("--for", metavar="S", min=0.1, help="How long the timer is watched.")]
+Seconds = Annotated[float, typer.Option("--for", metavar="S", min=0.1, help="Duration of the timer check.")]
 
 
 @app.command()
@@ -26,7 +26,7 @@ def doctor(
     compiles: Annotated[bool, typer.Option(
         "--compile", help="Compile the laws and end: the warm-up of a container image.")] = False,
     soak: Annotated[float | None, typer.Option(
-        metavar="MINUTES", min=0.0, help="Measure wake-ups and SDO round trips for so long instead.")] = None,
+        metavar="MINUTES", min=0.0, help="Instead, measure wake-ups and SDO round trips for so many minutes.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE",
                                                 help="With --soak: the report, Markdown.")] = None,
     overwrite: options.Overwrite = False,

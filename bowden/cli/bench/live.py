@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 LOOK_S = 1 / 60  # between two looks at the clock
 Recorded = Annotated[Path | None, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
 Web = Annotated[str, typer.Option(
-    metavar="[HOST:]PORT", help="Where the page is served; port 0: a free one; 0.0.0.0: other computers may watch.")]
-Speed = Annotated[float, typer.Option(metavar="X", help="Of playing, 0.001 … 1000 times real time.")]
+    metavar="[HOST:]PORT", help="Address of the page; port 0: a free one; 0.0.0.0: open to other computers.")]
+Speed = Annotated[float, typer.Option(metavar="X", help="Playing speed, 0.001 … 1000 times real time.")]
 Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
 
 

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 lss = CommandGroup(help="Node ids and bit rates of devices by LSS (CiA 305).", rich_markup_mode=None)
 app.add_typer(lss, name="lss")
 
-Chosen = Annotated[int | None, typer.Option("--node", metavar="ID", help="The device that is node ID now.")]
+Chosen = Annotated[int | None, typer.Option("--node", metavar="ID", help="The device with this node id.")]
 Identity = Annotated[str | None, typer.Option("--identity", metavar="V:P:R:S",
                                               help="The device of this identity, hexadecimal.")]
-Store = Annotated[bool, typer.Option("--store", help="Keep it over a power cycle.")]
+Store = Annotated[bool, typer.Option("--store", help="Store it, so that it outlasts a power cycle.")]
 Wait = Annotated[int, typer.Option("--timeout", metavar="MS", min=1, max=10_000, help="Time for an answer.")]
 
 
@@ -82,7 +82,7 @@ def bitrate(
     reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False,
     activate: Annotated[int | None, typer.Option(
         "--activate", metavar="MS", min=1, max=65_535,
-        help="Switch now: MS until the device switches, and MS in which it is silent.")] = None,
+        help="Switch after MS, and stay silent for MS more, instead of at the next power-on.")] = None,
     force: Force = False, timeout: Wait = 100, config: options.Config = None,
 ) -> CommandAnswer:
     """Give a device a bit rate, in force at its next power-on, or now by --activate.

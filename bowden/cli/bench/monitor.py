@@ -32,7 +32,7 @@ def monitor(
     source: Source = None,
     eds: Annotated[list[str] | None, typer.Option("--eds", metavar="ID=FILE",
                                                   help="EDS or DCF of a node; default: the bench's.")] = None,
-    only: Annotated[str | None, typer.Option("--only", metavar="KINDS", help=", ".join(KINDS) + ".")] = None,
+    only: Annotated[str | None, typer.Option("--only", metavar="KINDS", help=f"Only {', '.join(KINDS)}.")] = None,
     nodes: Annotated[str | None, typer.Option("--node", metavar="IDS", help="Only these node ids.")] = None,
     seconds: Annotated[float | None, typer.Option(
         "--for", metavar="S", min=0.0, help="Time to listen (default: until Ctrl-C; simulated: 1 s).")] = None,

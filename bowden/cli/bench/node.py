@@ -34,9 +34,10 @@ File = Annotated[Path, typer.Argument(metavar="FILE", help="DCF of the node.", s
 ObjectOf = Annotated[str, typer.Argument(metavar="OBJECT", help="6041, 1018:01, or a name of the EDS.",
                                          show_default=False)]
 Eds = Annotated[Path | None, typer.Option("--eds", metavar="FILE", help="EDS or DCF, or a folder of them.")]
-Force = Annotated[bool, typer.Option("--force", help="Even while another master is on the bus.")]
-Block = Annotated[bool, typer.Option("--block", help="By SDO block transfer.")]
-Type = Annotated[str | None, typer.Option("--type", metavar="TYPE", help="u8 … u64, i8 … i64, f32, f64, str, hex.")]
+Force = Annotated[bool, typer.Option("--force", help="Act even while another master is on the bus.")]
+Block = Annotated[bool, typer.Option("--block", help="Use SDO block transfer.")]
+Type = Annotated[str | None, typer.Option(
+    "--type", metavar="TYPE", help="Data type: u8 … u64, i8 … i64, f32, f64, str, hex.")]
 
 
 @node.command()

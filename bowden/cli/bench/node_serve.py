@@ -26,7 +26,7 @@ def guard(
     name: Name, reached: Bus,
     period: Annotated[int, typer.Option("--period", metavar="MS", min=1, max=65_535, help="Guard time.")] = 100,
     life: Annotated[int, typer.Option("--life", metavar="N", min=1, max=255,
-                                      help="Unanswered remote frames that are a loss.")] = 3,
+                                      help="Number of unanswered remote frames that count as a loss.")] = 3,
     seconds: Annotated[float, typer.Option("--for", metavar="S", min=0.0, help="Time to guard.")] = 10.0,
     config: options.Config = None, json: options.Json = False,
 ) -> int:
@@ -75,7 +75,7 @@ def serve(
         "--fault", metavar="KIND=COBID,…", help="drop, delay, corrupt, duplicate or shorten frames: "
         "drop=585,count=2,after=10; delay=185,ms=5; repeatable.")] = None,
     serial: Annotated[int | None, typer.Option(metavar="NUMBER", help="Serial number, 1018:04.")] = None,
-    store: Annotated[Path | None, typer.Option(metavar="FILE", help="File of 1010 and LSS.")] = None,
+    store: Annotated[Path | None, typer.Option(metavar="FILE", help="File of what 0x1010 and LSS store.")] = None,
     seconds: Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")] = None,
     config: options.Config = None, json: options.Json = False,
 ) -> int:

@@ -19,7 +19,7 @@ from parameters import InputError
 if TYPE_CHECKING:
     from physics.setup_check import SetupCheck
 
-Checked = Annotated[Path, typer.Option("--calibration", metavar="FILE", help="Calibration that the checks stand in.")]
+Checked = Annotated[Path, typer.Option("--calibration", metavar="FILE", help="Calibration to enter the checks in.")]
 Weight = Annotated[float | None, typer.Option(metavar="N", help="Known weight on this load cell, N; at least 10.")]
 Angle = Annotated[list[float] | None, typer.Option(
     metavar="DEG", help="Knee angle by a goniometer, degrees (flexion < 0); twice, at least 40 apart.")]

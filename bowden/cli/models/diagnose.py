@@ -29,23 +29,23 @@ Trials = Annotated[list[Path] | None, typer.Argument(
 Holdout = Annotated[list[Path] | None, typer.Option(metavar="TRIAL", help="Never fitted, only judged; repeatable.")]
 Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase low-pass on every signal.")]
 Extended = Annotated[Path | None, typer.Option(
-    "-o", "--output", metavar="FILE", help="extended.toml: what was found, for --plant-model and --controller-model.")]
+    "-o", "--output", metavar="FILE", help="extended.toml: named effects, for --plant-model and --controller-model.")]
 Report = Annotated[Path | None, typer.Option(metavar="FILE", help="One HTML page that needs no network.")]
 Figures = Annotated[Path | None, typer.Option(
-    metavar="DIR", help="Pictures (PNG) and tables (CSV) of what was found, into this folder.")]
+    metavar="DIR", help="Folder for pictures (PNG) and tables (CSV).")]
 Tracked = Annotated[tuple[Path, Path] | None, typer.Option(
     metavar="BEFORE AFTER", help="With --report: the two trials of bowden verify, shown in it.")]
-Each = Annotated[bool, typer.Option("--each", help="Every TRIAL for itself, several at a time.")]
+Each = Annotated[bool, typer.Option("--each", help="Diagnose each TRIAL separately, several at a time.")]
 Workers = Annotated[int | None, typer.Option(
     metavar="COUNT", min=1, help="With --each: processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(
     metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
 Planned = Annotated[str | None, typer.Option(
     "--plan", metavar="EXPERIMENT", autocompletion=options.experiments,
-    help="Without a trial: the smallest of each effect that gait, or an experiment of bowden trial --experiment, would "
-    "show.")]
+    help="Without a trial: smallest size of each effect that gait, or an experiment of bowden trial --experiment, "
+    "would show.")]
 Terms = Annotated[bool, typer.Option(
-    "--terms", help="Where effects do not explain the trial, or not all of it, seek a law, too, as bowden discover.")]
+    "--terms", help="If effects do not explain the whole trial, search terms, too, as bowden discover.")]
 Noise = Annotated[float | None, typer.Option(metavar="N", help="With --plan: noise of both tension sensors, 1σ.")]
 
 READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
@@ -73,7 +73,7 @@ def diagnose(
     workers: Workers = None,
     scheduler: Scheduler = None,
     logbook: Annotated[Path | None, typer.Option(
-        metavar="DIR", help="Logbook of the bench: enters the verdict, and stands in place of --healthy.")] = None,
+        metavar="DIR", help="Logbook to enter the verdict in; it replaces --healthy.")] = None,
     plan: Planned = None,
     peak: options.Peak = None,
     period: options.Period = None,

@@ -36,7 +36,7 @@ def discover(
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
-    """Find a law where the catalogue has no name.
+    """Find terms that extend the model where no effect of the catalogue fits.
 
     At most three terms: constants of the bench that change with load, motion, angle or time.
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 What = Annotated[str, typer.Argument(
     metavar="WHAT", help="stiffness, swing, friction, sensors, gait (on a calibration) or all.")]
-Guess = Annotated[Path | None, typer.Option("--calibration", metavar="FILE", help="What it starts from.")]
+Guess = Annotated[Path | None, typer.Option("--calibration", metavar="FILE", help="Calibration to start from.")]
 From = Annotated[list[Path] | None, typer.Option(
     "--from", metavar="TRIAL", help="Fit recorded experiments in place of measuring; repeatable.")]
 Picture = Annotated[Path | None, typer.Option(

@@ -26,12 +26,12 @@ Name = Annotated[str, typer.Option("--name", metavar="TEXT", help="Name of the b
 References = Annotated[int, typer.Option(
     metavar="COUNT", help="First sessions, by date, that are the reference; a change is stated after them.")]
 Most = Annotated[int, typer.Option("--most", metavar="COUNT", min=1, help="Newest trials to list.")]
-Number = Annotated[int | None, typer.Option("--trial", metavar="NUMBER", help="One trial in place of the bench.")]
+Number = Annotated[int | None, typer.Option("--trial", metavar="NUMBER", help="Show one trial instead of the bench.")]
 Limits = Annotated[list[str] | None, typer.Option(
     "--limit", metavar="NAME=VALUE", help="Forecast when a constant reaches a value, SI; repeatable.")]
 Table = Annotated[str, typer.Option(
     metavar="NAME", help="trials, sessions, constants, verdicts, notes or models.")]
-Text = Annotated[str, typer.Argument(metavar="TEXT", help="What was done.", show_default=False)]
+Text = Annotated[str, typer.Argument(metavar="TEXT", help="Maintenance, in words.", show_default=False)]
 Part = Annotated[list[str] | None, typer.Option(
     metavar="NAME", help="Part (cable, fabric, knee, start, end, drive) or constant that is new; repeatable.",
     autocompletion=lambda incomplete: _completed(incomplete))]

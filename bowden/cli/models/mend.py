@@ -38,7 +38,7 @@ def mend(
     reached: Bus,
     json: options.Json = False,
 ) -> int:
-    """Repair the model of a bench without anybody.
+    """Repair the model of a bench unattended.
 
     Records a gait, diagnoses it, runs the experiments that decide, extends the model, and keeps what gains in the loop.
 

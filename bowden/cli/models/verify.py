@@ -36,7 +36,7 @@ def verify(
     config: options.Config = None,
     overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
-    """Measure the gain of a found effect in the control loop.
+    """Measure what compensation of named effects gains in the control loop.
 
     One experiment twice on a bench, without and with compensation of the effects in EXTENDED.
 

@@ -22,7 +22,7 @@ Source = Annotated[Path, typer.Argument(
     help="csv, tsv, xlsx, tdms, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
 Trial = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
 A = Annotated[Path, typer.Argument(metavar="A", help="A recorded trial.", show_default=False)]
-B = Annotated[Path | None, typer.Argument(metavar="B", help="Another one.", show_default=False)]
+B = Annotated[Path | None, typer.Argument(metavar="B", help="Another trial.", show_default=False)]
 History = Annotated[Path | None, typer.Option(
     "--logbook", metavar="DIR", help="In place of B: the bench's own history.")]
 Map = Annotated[Path | None, typer.Option("--map", metavar="FILE", help="map.toml: names, units, offsets of columns.")]

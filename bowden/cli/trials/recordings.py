@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 Any_ = Annotated[Path, typer.Argument(metavar="FILE", help="A trial, CAN log, table or MCAP file.", show_default=False)]
 Recording = Annotated[Path, typer.Argument(metavar="FILE", help="MCAP.", show_default=False)]
 Several = Annotated[list[Path], typer.Argument(metavar="FILE…", help="MCAP, two or more.", show_default=False)]
-From = Annotated[float | None, typer.Option("--from", metavar="S", help="s after the first control cycle.")]
-To = Annotated[float | None, typer.Option("--to", metavar="S", help="Until before so many s.")]
+From = Annotated[float | None, typer.Option("--from", metavar="S", help="Begin, s after the first control cycle.")]
+To = Annotated[float | None, typer.Option("--to", metavar="S", help="End, s after the first control cycle; excluded.")]
 Torn = Annotated[Path, typer.Argument(metavar="FILE", help="A torn recording.", show_default=False)]
 Gait = Annotated[str | None, typer.Option(metavar="A-B", help="Gait cycles A to B in place of times.")]
 

@@ -34,9 +34,9 @@ TAKES = {
 """Options by target of the replay; every other option is refused."""
 Recorded = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
 Onto = Annotated[str, typer.Option(metavar="WHERE", help="bus, controller or plant.", show_default=False)]
-Speed = Annotated[float, typer.Option(metavar="X", help="bus: recorded by played time.")]
-Loop = Annotated[int, typer.Option("--loop", metavar="N", help="bus: play it exactly so often.")]
-From = Annotated[float, typer.Option("--from", metavar="S", help="bus: begin there; nodes and PDOs are brought there.")]
+Speed = Annotated[float, typer.Option(metavar="X", help="bus: speed, recorded time by playing time.")]
+Loop = Annotated[int, typer.Option("--loop", metavar="N", help="bus: number of passes.")]
+From = Annotated[float, typer.Option("--from", metavar="S", help="bus: begin there, nodes and PDOs restored first.")]
 To = Annotated[float | None, typer.Option("--to", metavar="S", help="bus: end there.")]
 Step = Annotated[bool, typer.Option("--step", help="bus: one frame for each line of standard input.")]
 Node = Annotated[list[int] | None, typer.Option(
