@@ -197,12 +197,14 @@ def widened(table: ConstantTable, prior: Gaussian, variants: Sequence[Variant]
 
 def loss(residual: Array, root: Array) -> float:
     """Return Σ ρ(residual·root) with Huber's loss ρ; `root`: 1/σ of each datum."""
+    # ρ(u) = u² below k, 2k·u − k² above (Huber 1964), so that a bin that snaps taut does not decide a fit
     scaled = np.abs(residual) * root
     return float(np.where(scaled < HUBER, scaled**2, 2.0 * HUBER * scaled - HUBER**2).sum())
 
 
 def bounded(residual: Array, weight: Array) -> Array:
     """Return weights with which the squared residuals have the gradient of Huber's loss."""
+    # iteratively reweighted least squares: ρ′(u)/(2u) times the weight
     scaled = np.abs(residual) * np.sqrt(weight)
     return np.asarray(np.where(scaled < HUBER, 1.0, HUBER / np.maximum(scaled, 1e-9)) * weight)
 
@@ -286,6 +288,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
     x = mean if start is None else start
     x, now, here = descended(x, cost, linearised, stepped, CLOSE) if descends else (x, cost(x), linearised(x))
     # the curvature is that of the last linearisation, at a cost within `CLOSE` of the mode's
+    # Laplace's approximation, Rasmussen and Williams (2006), eq. 3.32: the factor's diagonal gives ½ ln det
     evidence = -0.5 * now - float(np.log(np.diag(here.inner[0])).sum())
     return PosteriorMode(table, at(x), x, tuple(active), now, evidence, factor, here.inner, here.slopes, features,
                          here.weight, residual(x), mean)
@@ -304,6 +307,7 @@ def screened(null: PosteriorMode, observed: Observed, variant: Variant, error: A
 
 def bayes_factor(square: Array, pull: Array) -> tuple[float, Array]:
     """Return the log Bayes factor, nats, of sizes with the prior N(0, 1) from their information, and their mean."""
+    # ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G): the Gaussian integral over the sizes
     whole = np.eye(pull.size) + square
     size: Array = np.asarray(np.linalg.solve(whole, pull), np.float64)
     return float(0.5 * pull @ size - 0.5 * np.linalg.slogdet(whole)[1]), size
@@ -332,11 +336,13 @@ def response(null: PosteriorMode, observed: Observed, variant: Variant, further:
     error = null.residual + null.slopes @ off[:null.constants] + null.features @ off[null.constants:]
 
     def solved(given: Array) -> Array:
+        # Woodbury's identity: C⁻¹ = W − W·HL·(I + LᵀHᵀWHL)⁻¹·LᵀHᵀ·W
         light = null.weight[:, None] * given
         return np.asarray(light - null.weight[:, None] * (inward @ cho_solve(null.inner, inward.T @ light)))
 
     applied = solved(np.concatenate([error[:, None], effect], axis=1))
     if further is not None:
+        # the same identity for C + FFᵀ, F the columns of the further error
         spread = solved(further)
         applied -= spread @ np.linalg.solve(np.eye(further.shape[1]) + further.T @ spread, further.T @ applied)
     return effect, applied

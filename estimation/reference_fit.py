@@ -402,6 +402,8 @@ class _Fit:
         eliminated = []
         for own_x, linear in zip(at, trials, strict=True):
             weighed = linear.design.T * linear.weight
+            # each trial's own departure is eliminated (Schur complement), so that one system of the bench's size is
+            # solved
             information, downhill = weighed @ linear.design, weighed @ (linear.error - linear.design @ own_x)
             inner = cho_factor((1.0 + damping) * np.eye(scale.size) + deviation[:, None] * information * deviation)
             side = deviation[:, None] * information * scale
@@ -498,6 +500,7 @@ class _Fit:
             linear = self.linear[k]
             root = np.sqrt(linear.weight)
             design = linear.design * scale * root[:, None]
+            # A(I + ΣA)⁻¹ in a symmetric form, with the root of Σ on both sides
             square, error = design.T @ design, design.T @ (linear.error * root)
             inner = cho_factor(np.eye(size) + deviation[:, None] * square * deviation)
             side, across = deviation[:, None] * square, cho_solve(inner, deviation * error)
@@ -547,6 +550,7 @@ class _Fit:
         linear = self.linear[k]
         scale = np.sqrt(self._bench_variance() + self._session())
         design = linear.design * scale * np.sqrt(linear.weight)[:, None]
+        # diagonal of the hat matrix
         inner = np.eye(scale.size) + design.T @ design
         return np.asarray((design * np.linalg.solve(inner, design.T).T).sum(axis=1))
 
@@ -606,6 +610,7 @@ def scale_of(known: float, squares: float) -> float:
     `squares`: relative to the variances without the factor, of `known` degrees of freedom.  ln κ has the prior N(0, 1):
     the sessions of one rig differ by a third of another's, or by three times as much.
     """
+    # u = ln κ; the posterior is integrated on a grid
     u = np.linspace(-5.0, 3.0, 401)
     nats = -known * u - 0.5 * squares * np.exp(-2.0 * u) - 0.5 * u**2
     share = np.exp(nats - nats.max())

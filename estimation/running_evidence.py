@@ -154,6 +154,7 @@ class RunningEvidence:
     def _conditional(self, inner: Any, sums: Sums, at: slice) -> tuple[Array, Array]:
         """Return G and g of the effect columns `at` that act in the cycles of `sums`."""
         own = slice(self._size + at.start, self._size + at.stop)
+        # G = C − BᵀM⁻¹B and g = d − BᵀM⁻¹b of the module's docstring
         cross = sums.square[:self._size, own]
         carried = cho_solve(inner, cross)
         return (sums.square[own, own] - cross.T @ carried,
@@ -166,6 +167,7 @@ class RunningEvidence:
         own = slice(0, part.at.stop - part.at.start)
         found = [bayes_factor(*self._conditional(inner, sums, own)) for sums in after][::-1]
         nats = np.array([gain for gain, _ in found])
+        # half of the prior for a beginning before the trial, the other half evenly for the later cycles
         prior = np.full(nats.size, -np.log(2.0))
         if nats.size > 1:
             prior[1:] -= np.log(nats.size - 1)

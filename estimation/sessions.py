@@ -160,9 +160,11 @@ class SessionSequence:
             covariance, mean = _solved(designs, sessions)
             total = np.zeros(free)
             for u, sums, inner in zip(designs, self.sums, sessions.inner, strict=True):
+                # E step: mean and variance of the session's deviation, with the uncertainty of (b, r, a)
                 carried = inner[:free] @ (sums.square[:self.size] @ u)
                 deviation = inner[:free] @ sums.pull[:self.size] - carried @ mean
                 total += deviation**2 + np.diag(inner)[:free] + np.sum((carried @ covariance) * carried, axis=1)
+            # M step, under the inverse-gamma prior about the published variance
             variance = (self.scatter_sessions * self.published + total * self.population) / (
                 self.scatter_sessions + self.count)
         return variance
@@ -239,6 +241,7 @@ class SessionSequence:
         """Return the sessions with a scatter between them of an effect that no constant of the bench has."""
         own = slice(self.size + part.at.start, self.size + part.at.stop)
         across = sessions.square[:, :, own]
+        # a size of σ = SURROGATE in each session is integrated out
         solved = across @ np.linalg.inv(sessions.square[:, own, own] + np.eye(own.stop - own.start) / SURROGATE**2)
         return _Integrated(sessions.square - solved @ across.transpose(0, 2, 1),
                            sessions.pull - np.einsum("sia,sa->si", solved, sessions.pull[:, own]), sessions.inner,
@@ -313,6 +316,7 @@ class SessionSequence:
         departure: Array = np.asarray(np.linalg.solve(np.linalg.inv(prior) + square, residual), np.float64)
         lengths, axes = np.linalg.eigh(square + square @ prior @ square)
         kept = lengths > 1e-9 * lengths[-1]
+        # rᵀS⁻¹r with S the covariance of the residual, in the directions that the session determines
         squared = float(np.sum((axes[:, kept].T @ residual) ** 2 / lengths[kept]))
         own = departure[:self.free]
         return (own * np.sqrt(self.population), own / np.sqrt(np.diag(prior)[:self.free]),

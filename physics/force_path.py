@@ -109,6 +109,7 @@ def _run(p, rope, knee, dt, out):  # type: ignore[no-untyped-def]
 
 @njit(**COMPILED)
 def _spring(strain, share, stiff, c2, c3):  # type: ignore[no-untyped-def]
+    # (10) with a cubic term, K·e·(1 + c2·e + c3·e²); e, a smooth maximum of the strain and 0, lets a slack spring be
     y = strain / (share * STRETCH_M)
     root = math.sqrt(y * y + SOFT * SOFT)
     e = 0.5 * (y + root)
@@ -118,6 +119,7 @@ def _spring(strain, share, stiff, c2, c3):  # type: ignore[no-untyped-def]
 
 @njit(**COMPILED)
 def _slip(z, first, j, moved, travel):  # type: ignore[no-untyped-def]
+    # backward Euler of Dahl's ds/dx = (1 − s·sgn v)/δ: stable for any step; three δ, since friction is distributed
     way, size = moved / travel, abs(moved) / travel
     sign = (1.0 if moved >= 0.0 else -1.0) / travel
     slip = slope = 0.0
@@ -157,6 +159,7 @@ def _step(p, x, theta, progress, dt, z, out):  # type: ignore[no-untyped-def]
         bend = abs(theta) - abs(KNEE_RAD)
         half = 0.5 * (1.0 + p[DRIFT, j] * progress)
         vs = p[REST_SPEED, j] * p[REST_SPEED, j]
+        # half of the exponents of (3) and (7), by knee angle, tension and lagged sliding speed (Stribeck's curve)
         e1 = half * p[CABLE, j] * max(0.05, 1.0 + p[BEND, j] * bend) * max(
             0.1, 1.0 + p[LOAD, j] * (0.5 * (z[T0, j] + z[T1, j]) - LOAD_N) / 40.0) * (
             1.0 + p[CABLE_REST, j] * vs / (vs + z[SPEED1, j] * z[SPEED1, j]))
@@ -181,12 +184,14 @@ def _step(p, x, theta, progress, dt, z, out):  # type: ignore[no-untyped-def]
             t2, k2 = _spring(q2 - w - (1.0 - before) * late, 1.0 - before, stiff, c2, c3)
             s1, g1 = _slip(z, S1, j, q1 - old1, p[CABLE_TRAVEL, j])
             s2, g2 = _slip(z, S2, j, q2 - old2, p[FABRIC_TRAVEL, j])
+            # (3) and (7) as forces s·(T0 + T1)·μθ/2: T0/T1 = (1 + μθ/2)/(1 − μθ/2), to second order e^(μθ)
             rub1, rub2 = e1 * (t0 + t1) + dry, e2 * (t1 + t2) + dry
             f1 = t0 - t1 - rub1 * s1 - grease * (q1 - old1)
             f2 = t1 - t2 - rub2 * s2 - light * (q2 - old2)
             size = abs(f1) + abs(f2)
             if size < CLOSE_N:
                 break
+            # Newton's step by the 2 × 2 Jacobian of both balances; shortened where it did not reduce them
             if size < least:
                 least, share, back1, back2 = size, 1.0, q1, q2
                 j11 = -k0 - k1 - e1 * (k1 - k0) * s1 - rub1 * g1 - grease
@@ -203,6 +208,7 @@ def _step(p, x, theta, progress, dt, z, out):  # type: ignore[no-untyped-def]
             gain1, gain2 = v1 - last1, v2 - last2
         _keep(z, S1, j, v1, p[CABLE_TRAVEL, j])
         _keep(z, S2, j, v2, p[FABRIC_TRAVEL, j])
+        # backward Euler of v̇s = (v − vs)/τ and of the retarded stretch γ̇ = (J·T − γ)/τ (Kelvin and Voigt)
         z[SPEED1, j] += (v1 / dt - z[SPEED1, j]) * dt / (p[MEMORY, j] + dt)
         z[SPEED2, j] += (v2 / dt - z[SPEED2, j]) * dt / (p[MEMORY, j] + dt)
         z[GAMMA_PROMPT, j] += (p[PROMPT, j] * t2 - z[GAMMA_PROMPT, j]) * dt / (PROMPT_S + dt)

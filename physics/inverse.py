@@ -111,6 +111,7 @@ def law(calibration: Calibration, period_s: float, friction: float = 1.0, softne
 @njit(cache=True)
 def elongation(law: Any, force: float) -> Any:
     """Return (stretch of the fabric, m, its slope, m/N) at a tension, N, without the constant."""
+    # (10) and the saturating terms of `physics.stretch`; beyond `reach` along the tangent
     quadratic, linear, short, wide, reach = law[1:6]
     at = min(force, reach)
     by_short, by_wide = math.exp(-at / SHORT_N), math.exp(-at / WIDE_N)
@@ -147,6 +148,7 @@ def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
      fabric_travel, fabric_offset, fabric_slope, rope_per_knee, knee_home, breakaway, fabric_breakaway,
      breakaway_travel, fade, load_slope, drag, taut) = law
     rope, fabric, rope_x, knee_x, rope_speed, fabric_speed = slip
+    # (7) against the direction of transfer: T = F·e^(s·μ2·φ), s and the Stribeck factor by the fabric's own slip
     on_knee = (1.0 - share) * elongation(law, force)[0]
     if not math.isnan(knee_x):
         fabric = presliding(fabric, on_knee - knee_x, fabric_travel)
@@ -155,6 +157,7 @@ def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
     by_knee = ((fabric_offset + fabric_slope * abs(knee)) * fabric * (1.0 + fabric_breakaway * knee_slow)
                * load_dependence(load_slope, force))
     tension = capstan(force, by_knee)
+    # rope in the sheath: (11) and the stretch on both sides of the knee; then (3), and the drag of a taut rope
     in_sheath = rope_per_knee * (knee - knee_home) + on_knee + share * elongation(law, tension)[0]
     moved = 0.0
     if not math.isnan(rope_x):
@@ -217,6 +220,7 @@ def _end_from_start(
             tension = capstan(pulled, -grip * load_dependence(load_slope, tension))
         whole = (fabric_offset + fabric_slope * abs(knee[i])) * (
             1.0 + fabric_breakaway * slowness(fabric_speed, breakaway_travel))
+        # the fabric's slip depends on END, which depends on the slip: regula falsi with Illinois' halving
         low, high, at_low, at_high, side = -1.0, 1.0, 2.0, -2.0, 0
         slip = fabric
         for _step in range(40):

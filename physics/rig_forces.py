@@ -39,6 +39,7 @@ def dahl_states(rope, travels):  # type: ignore[no-untyped-def]
     for j in range(travels.size):
         s = 0.0
         for i in range(1, rope.size):
+            # backward Euler of Dahl's ds/dx = (1 − s·sgn v)/δ: stable for any step
             way = (rope[i] - rope[i - 1]) / travels[j]
             s = (s + way) / (1.0 + abs(way))
             out[j, i] = s
@@ -120,6 +121,7 @@ def _stretched(rope, free, load, wrap, dry, travel, lead, sense):  # type: ignor
                     high = way
                 else:
                     low = way
+                # Newton's step on the slip, halved where it leaves the bracket
                 slope = (1.0 - was * (1.0 if way > 0.0 else -1.0)) / (1.0 + abs(way)) ** 2
                 way -= left / (1.0 + sense * lead[j] / travel[j] * (t * w * grown + d) * slope)
                 if (way - low) * (way - high) >= 0.0:

@@ -85,6 +85,7 @@ class Guard:
         if inputs.missing:
             self._missed = [(late, inputs.sync_ns) if late else was
                             for late, was in zip(late_in_row, self._missed, strict=True)]
+        # causes before consequences: what was said on the bus, then limits, then missing inputs, then relations
         if (watch is not None and watch.found) or link.emergencies or link.boots or link.controller.events:
             self.heed(inputs.sync_ns, reception)
         if not self.active:
@@ -130,6 +131,7 @@ class Guard:
         plausibility = self.plausibility
         if plausibility is None or rehoming:
             return
+        # an incomplete cycle proves nothing: on a bus that loses frames no sensor is blamed for it
         if inputs.missing or self.joint_held:
             plausibility.coast(targets)
             return
@@ -172,6 +174,7 @@ class Guard:
 
     def _refuse_stale(self, late_in_row: Sequence[int]) -> None:
         limit = self.limits.stale_cycles * (PATIENT if self.beginning else 1)
+        # all nodes at once: not a node is lost but the SYNC that they answer
         if min(late_in_row) >= limit:
             raise StopError(Condition.SYNC_LOST, f"no node has answered it for {min(late_in_row)} cycles")
         for node in self._by_weight:
@@ -230,6 +233,7 @@ class Guard:
 
     def _cause(self, emergency: EmcyMessage, text: str, now_ns: int, reception: Reception) -> StopError:
         """Return the cause of an emergency: a drive reports missed or excessive cycles before the master gives up."""
+        # a drive whose inputs stayed away reports a consequence; a node that missed cycles just before is the cause
         if emergency.code in _CONSEQUENCES:
             since = now_ns - REMEMBERED * self._period_ns
             late = [count if at >= since else 0 for count, at in self._missed]

@@ -107,6 +107,7 @@ def _tracking(s: Any, g: Any, limited: float, target: float, knee_target: float,
         s[T1] = s[T2] = target
         s[K1] = s[K2] = knee_target
         s[PREDICTED] = position
+    # a target is taken over at the next SYNC and seen one later: the loop's answer is to the target before last
     s[PREDICTED] += fade * (s[T2] - s[PREDICTED])
     s[HELD_BACK] = max(limited, (1.0 - fade) * s[HELD_BACK])
     lag = abs(s[T2] - s[PREDICTED]) + abs(s[T2] - s[T1])
@@ -138,6 +139,7 @@ def _ratio(s: Any, g: Any, position: float, start: float, end: float) -> float:
     travel = position - g[ROPE_COMPLIANCE] * start
     step = travel - s[LAST_TRAVEL] if s[FRESH] > 1.0 else 0.0
     s[LAST_TRAVEL] = travel
+    # Dahl's state by the rope's travel; (3) and (7) in series then lie between their values for both directions
     goal = 1.0 if step > 0.0 else -1.0
     if abs(step) > 2e-6:
         s[SLIP] = goal - (goal - s[SLIP]) * math.exp(-abs(step) / g[PRESLIDING])
@@ -186,6 +188,7 @@ def _force(s: Any, g: Any, position: float, force: float, start: float) -> None:
     if count < cycles + 2:
         s[RATIOS + FORCE] = s[COUNTS + FORCE] = 0.0
         return
+    # M·a + Coulomb + viscous·v + offset, averaged over the window: the acceleration from the speeds at its ends
     gained = (speed - (s[RING + WINDOW + (i - cycles) % n] - s[RING + WINDOW + (i - cycles - 1) % n]) / g[PERIOD_S])
     rate = gained / (cycles * g[PERIOD_S])
     mean, turned, flow = s[SUM] / cycles, s[SUM_SIGN] / cycles, s[SUM_V] / cycles
@@ -248,6 +251,7 @@ def _stretch(s: Any, g: Any, middle: float, position: float, knee: float, start:
     stretch = position - g[ROPE_PER_KNEE] * (knee - g[KNEE_HOME]) - g[ROPE_COMPLIANCE] * start
     if g[LEARNED] == LEARNING:
         if start > TAUT_N and end > TAUT_N and abs(knee - g[KNEE_HOME]) < 0.05:
+            # (10) over √(START·END), in which friction cancels
             mean = math.sqrt(start * end)
             _add(s, NORMAL_STRETCH, STRETCH_TERMS, (1.0, mean, mean * mean), stretch)
             s[STRETCH_ROWS] += 1.0
@@ -260,6 +264,7 @@ def _stretch(s: Any, g: Any, middle: float, position: float, knee: float, start:
                 elif s[SLIP] < -0.9:
                     s[RISE_LOW] += fade * (ratio - s[RISE_LOW]) if s[RISE_LOW] != 0.0 else ratio
         return
+    # tension in the middle of the path by either sensor: half of the exponent lies on each side
     half = math.exp(0.5 * middle)
     width, most = g[HIGH] - g[LOW], max(start, end)
     counts = s[COUNTS + BY_START], s[COUNTS + BY_END]

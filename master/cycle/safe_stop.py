@@ -38,14 +38,18 @@ def safe_stop(exchange: Running, stop: StopError) -> None:
 
     Every force path reacts, whichever one the stop names.
     """
+    # a finding during the stop would replace the first cause and begin the stop anew
     for guard in exchange.guards:
         guard.active = False
     exchange.log.quiet = True
     reaction = reaction_to(stop, exchange.wire.paths)
     exchange.log.event(exchange.link.clock(), "safety", "master", f"{stop}: {reaction.value}.")
     try:
+        # a knee that is named is let go: its brake and its hold would use the feedback that may have failed (decision
+        # 43)
         free = {path.path.knee for path in exchange.paths if reaction is Reaction.RELEASE_BOTH
                 and stop.node_id in path.path}
+        # torque off needs no signal, so it is also what follows where unwinding cannot be done
         if reaction is not Reaction.UNWIND or not _unwind(exchange):
             for path in exchange.paths:
                 drives.release(path, knee_too=path.path.knee in free)
@@ -53,11 +57,13 @@ def safe_stop(exchange: Running, stop: StopError) -> None:
         _finish(exchange)
     except (StopError, BringUpError, LinkError) as error:
         exchange.log.event(exchange.link.clock(), "safety", "master", f"the stop was cut short: {error}.")
+        # the cycle itself has failed: single frames let the drives go, else their own watchdogs do (0x6007)
         let_go(exchange)
 
 
 def _greatest(exchange: Exchange, inputs: Inputs) -> float:
     """Return the rope's tension, N, the greatest of all signals present."""
+    # the greatest of all: a sensor that reads too low cannot end the unwinding while another one shows tension
     start = 0.0 if inputs.missing & _START_BIT else inputs.start_n
     end = 0.0 if inputs.missing & _END_BIT or math.isnan(inputs.end_n) else inputs.end_n
     hidden = 0.0 if inputs.missing & (_SERVO_BIT | _START_BIT) else exchange.plausibility.hidden_n()
@@ -77,6 +83,7 @@ def _unwinding(exchange: Exchange) -> Work[bool]:
     """Unwind one rope until no signal shows tension; return False if that cannot be done."""
     limits, inputs = exchange.guard.limits, exchange.inputs
     servo, knee = exchange.targets
+    # from the rope's own place if the target is ahead of it: nothing in a stop winds in
     servo = min(servo, inputs.servo_position_m)
     step = limits.unwind_m_s * exchange.wire.period_ns * 1e-9
     began, late = inputs.sync_ns, 0
@@ -87,6 +94,7 @@ def _unwinding(exchange: Exchange) -> Work[bool]:
         enabled = state_of(inputs.servo_status) is State.OPERATION_ENABLED
         if inputs.sync_ns - began >= limits.unwind_s * 1e9 or late >= limits.stale_cycles or not enabled:
             return _not_unwound(exchange, "the servo cannot unwind")
+        # a tension that rises while rope is paid out contradicts servo or sensor: neither is used any further
         if tension > RISE * first + RISE_N:
             return _not_unwound(exchange, f"tension rose from {first:.1f} to {tension:.1f} N while unwinding")
         if inputs.sync_ns >= judged:

@@ -67,11 +67,15 @@ _BY_PLACE: Final = {SERVO: _RELEASE, KNEE: Reaction.RELEASE_BOTH, START: _RELEAS
 """Reaction by the named device: without START no signal shows when the rope is slack; without the servo nothing can
 unwind it; a knee drive that is named can neither brake nor hold by its own angle."""
 _OTHERWISE: Final = {
+    # START is above its limit but believed: it shows when the rope is slack
     (Condition.START_LIMIT, START): _UNWIND,
     (Condition.END_LIMIT, END): _RELEASE,
     (Condition.IMPLAUSIBLE, END): _RELEASE,
+    # no sensor is named, so none is trusted to unwind by
     (Condition.IMPLAUSIBLE, NOBODY): _RELEASE,
+    # somebody else sends: what the servo does with targets is not ours alone
     (Condition.FOREIGN, NOBODY): _RELEASE,
+    # targets are taken over at SYNC: without it none unwinds
     (Condition.SYNC_LOST, NOBODY): _RELEASE,
     (Condition.BUS_LOST, NOBODY): Reaction.ABANDON,
 }

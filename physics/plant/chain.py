@@ -41,9 +41,11 @@ def slide(m: Any, first: int, last: int, surface: float, dt: float) -> float:
     light = m[SLOT.slack_drag]
     total = 0.0
     for i in range(first, last):
+        # (3) and (7) of one node: s·(T1 + T2)·tanh(μ·dθ/2) is T1/T2 = e^(μ·dθ) in full sliding
         normal = m[t + i - 1] + m[t + i]
         drag = m[SLOT.drag + i] + light * max(0.0, 1.0 - normal)
         friction = m[s + i] * m[SLOT.grip + i] * normal + drag * (m[v + i] - surface)
+        # semi-implicit Euler: the position moves by the new velocity, which keeps the energy of an oscillation bounded
         m[v + i] += dt * m[SLOT.inverse_mass + i] * (m[t + i - 1] - m[t + i] - friction)
         m[x + i] += dt * m[v + i]
         m[s + i] = presliding_step(m[s + i], dt * m[SLOT.inverse_delta + i] * (m[v + i] - surface))
@@ -58,6 +60,7 @@ def refresh_grip(m: Any, first: int, last: int, exponent: float, surface: float,
     ratio, speed, slope = m[SLOT.stribeck_ratio], m[SLOT.stribeck_speed_m_s], m[SLOT.load_slope]
     for i in range(first, last):
         tension = 0.5 * (m[SLOT.tension + i - 1] + m[SLOT.tension + i])
+        # Stribeck's curve by a lagged speed: without the memory single segments chatter at kilohertz (docs/physics.md)
         m[SLOT.recent + i] += fade * (m[SLOT.v + i] - surface - m[SLOT.recent + i])
         factor = load_dependence(slope, tension) * stribeck(ratio, speed, m[SLOT.recent + i])
         m[SLOT.grip + i] = capstan_share(exponent * factor)
@@ -76,6 +79,7 @@ def refresh_friction(m: Any, flexion: float, surface: float, drift: float, dt: f
 def creep(m: Any, dt: float) -> None:
     """Let the fabric creep over `dt` under the mean of its end tensions; each element takes its share."""
     tension = 0.5 * (m[SLOT.tension + CABLE_NODES] + m[SLOT.tension + NODES])
+    # γ̇ = (J·T − γ)/τ (Kelvin and Voigt)
     m[SLOT.creep] += dt / m[SLOT.creep_s] * (m[SLOT.creep_compliance] * tension - m[SLOT.creep])
     for e in range(CABLE_NODES, NODES + 1):
         m[SLOT.free + e] = m[SLOT.share + e] * m[SLOT.creep]

@@ -47,6 +47,7 @@ def derive(m: Array, p: PlantParameters) -> None:
             f"plant: lead_compliance + sheath_compliance = {cable:g} m/N leave the fabric nothing of stretch_b = "
             f"{p.stretch_b:g} m/N; make them at most {(1.0 - LEAST_FABRIC) * p.stretch_b:g} m/N."
         )
+    # force at which (10) turns over; beyond 90 % of it the stretch goes on along its tangent
     turning = -b / (2.0 * a)
     tangent = TANGENT_FROM * turning
     m[SLOT.b_fabric], m[SLOT.a4], m[SLOT.half] = b, -4.0 * a, -1.0 / (2.0 * a)
@@ -77,6 +78,7 @@ def _shares(p: PlantParameters) -> Array:
 
 def _masses(m: Array, stiffness: Array) -> None:
     """Choose node masses for the step and dampings for the elements, from the elements' greatest stiffness."""
+    # ω² ≤ 2·(k1 + k2)/m of any mode (Gershgorin), and an explicit step is stable for ω·dt < 2: here ω·dt = TURN
     mass = np.maximum(LEAST_MASS_KG, 2.0 * (stiffness[:-1] + stiffness[1:]) * (STEP_S / TURN) ** 2)
     m[SLOT.inverse_mass + 1 : SLOT.inverse_mass + NODES + 1] = 1.0 / mass
     lighter = np.concatenate([mass[:1], np.minimum(mass[:-1], mass[1:]), mass[-1:]])

@@ -57,6 +57,7 @@ def current_step(
     `bandwidth` in rad/s; the integral stands still while the voltage saturates.
     """
     error = demand_a - current
+    # pole cancellation: Ki/Kp = R/L, so that the closed loop is a first-order lag of `bandwidth`
     wanted = bandwidth * henry * error + integral + back_emf
     volts = min(bus_v, max(-bus_v, wanted))
     if volts == wanted:

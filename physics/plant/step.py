@@ -44,6 +44,7 @@ def servo(m: Any, demand_a: float, arm: float) -> None:
     coulomb = m[SLOT.servo_coulomb_n] * s * (1.0 + m[SLOT.servo_asymmetry] * s)
     coulomb *= stribeck(m[SLOT.servo_stribeck_ratio], m[SLOT.servo_stribeck_speed_m_s], speed)
     drag = m[SLOT.servo_viscous] * (speed + m[SLOT.servo_viscous_asymmetry] * abs(speed))
+    # M·v̇ = K·i/r − friction − rope, all at the rope; Coulomb friction by Dahl's state s in place of a sign
     loss = coulomb + drag + m[SLOT.servo_offset_n] + m[SLOT.tension] * arm
     if m[SLOT.servo_unbalance_n] > 0.0:
         loss += m[SLOT.servo_unbalance_n] * math.sin(m[SLOT.servo_x] / radius + m[SLOT.servo_unbalance_rad])
@@ -68,6 +69,7 @@ def knee(m: Any, demand_nm: float, rope_nm: float) -> None:
     weight = m[SLOT.leg_moment_kg_m] * GRAVITY * math.sin(m[SLOT.leg_q])
     beyond = max(0.0, m[SLOT.leg_q] - m[SLOT.stop_high_rad]) - max(0.0, m[SLOT.stop_low_rad] - m[SLOT.leg_q])
     weight += m[SLOT.stop_stiffness] * beyond
+    # I·θ̈ = reducer + rope·lever − m·g·l·sin θ − stops − damping
     m[SLOT.leg_a] = (through + rope_nm - weight - m[SLOT.leg_damping] * m[SLOT.leg_w]) / m[SLOT.leg_inertia]
     m[SLOT.leg_w] += STEP_S * m[SLOT.leg_a]
     m[SLOT.leg_q] += STEP_S * m[SLOT.leg_w]
@@ -92,6 +94,7 @@ def step(m: Any, demand_a: float, knee_nm: float) -> None:
     m[SLOT.v] = m[SLOT.servo_v] * arm
     knee_rad = m[SLOT.leg_q]
     k2, k3 = m[SLOT.rope_per_knee], m[SLOT.rope_per_knee_quadratic]
+    # moment arm of the rope by virtual work: dx2/dθ of (11)
     lever = k2 + 2.0 * k3 * knee_rad
     m[SLOT.x + NODES + 1] = anchor(k2, k3, knee_rad)
     surface = lever * m[SLOT.leg_w]
@@ -117,6 +120,7 @@ def _compile(sources: int) -> Any:
             step(m, demand, knee_nm)
         m[SLOT.steps] = done + steps
         swing = (m[SLOT.leg_w] - before) / (max(1, steps) * STEP_S)
+        # END is on a cantilever, m·(g·cos θ + L·θ̈): the jitter at zero force (paper, Fig. 15)
         carried = GRAVITY * math.cos(m[SLOT.leg_q]) + m[SLOT.end_mass_arm_m] * swing
         m[SLOT.out_servo_x], m[SLOT.out_servo_v] = m[SLOT.servo_x] + m[SLOT.encoder_zero_m], m[SLOT.servo_v]
         m[SLOT.out_motor_q], m[SLOT.out_motor_w] = m[SLOT.motor_q], m[SLOT.motor_w]
