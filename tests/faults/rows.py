@@ -202,7 +202,6 @@ def of(action: argument.UnsafeAction, *rows: Row) -> tuple[Row, ...]:
 
 SET_UP = "it is there in homing and in every gait cycle alike; a set-up check against a known weight or angle shows it"
 CONDUCTS = "the stage conducts by itself: the wired emergency stop alone ends that"
-WRONG_SIGN = names.emergency("servo", 0x7122)
 UNSTABLE = "a reversed stage makes the drive's loop unstable: the leg has its speed before two cycles show it"
 BUSY = "the bus is taken: the drives act by the watchdog of the master's heartbeat alone, after 250 ms"
 GAIN, OFFSET = (lambda k: lambda value, t: k * value), (lambda b: lambda value, t: value + b)
@@ -287,10 +286,10 @@ ROWS: tuple[Row, ...] = (
     *of(
         argument.STAGE,
         Row("servo stage dead", staged(plants.dead), (names.TORQUE_OR_START,)),
-        Row("servo stage reversed", staged(plants.reversed_servo), (names.TORQUE_OR_START, WRONG_SIGN)),
+        Row("servo stage reversed", staged(plants.reversed_servo), (names.TORQUE_OR_START, slow.WRONG_SIGN)),
         Row("servo stage at a quarter", staged(plants.weak), (names.TORQUE_OR_START,), ("ramp", "peak"),
             silent="the drive's loop makes up for a weak stage as long as its bound allows"),
-        Row("servo stage shorted at 4 N·m", staged(plants.shorted), (names.TORQUE_OR_START, WRONG_SIGN),
+        Row("servo stage shorted at 4 N·m", staged(plants.shorted), (names.TORQUE_OR_START, slow.WRONG_SIGN),
             unstoppable=CONDUCTS),
     ),
     *of(
@@ -453,7 +452,7 @@ ROWS: tuple[Row, ...] = (
             ("start",)),
         Row("servo stage dead from power-on", staged(plants.dead), (names.SERVO_OFF, names.TORQUE_OR_START),
             ("start",)),
-        Row("servo stage reversed from power-on", staged(plants.reversed_servo), (WRONG_SIGN,), ("start",)),
+        Row("servo stage reversed from power-on", staged(plants.reversed_servo), (slow.WRONG_SIGN,), ("start",)),
         Row("knee stage reversed from power-on", staged(plants.knee_reversed), (names.KNEE_OFF,), ("start",),
             unstoppable=UNSTABLE),
         Row("power_on_start_gain: START − 20 %", sensed(start_n=GAIN(0.8)), (), ("start",), silent=SET_UP),
