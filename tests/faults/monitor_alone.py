@@ -3,9 +3,8 @@
 own runs in the CSV and keeps the others.
 
 Supervisions of one fault: the monitor alone (the master's checks are switched off here, in this process; the product
-has no such switch), for its faults beyond a bound the monitor and a weak link in the rope at the drum, the master
-without a monitor, and both. `--drive bought`: a drive that protects nothing by itself. The bounds are those of the
-issue "Safe through the stop"; the exit status is 1 if one is broken.
+has no such switch), the master without a monitor, and both. `--drive bought`: a drive that protects nothing by itself.
+The bounds are those of the issue "Safe through the stop"; the exit status is 1 if one is broken.
 """
 
 from __future__ import annotations
@@ -34,21 +33,17 @@ from master.cycle.safety import StopError
 from nodes.drives import axis_law
 from nodes.drives.drive import Drive
 from nodes.drives.servo import ServoDrive
-from tests.faults import judge, plants
+from tests.faults import judge
 from tests.faults.rows import ROWS
 from tests.faults.stage import Row, Told, Walk, trial
 
 BEYOND_DEG: Final = 5.0
 """Degrees by which a fault may take the leg beyond the person's range."""
 SINGLE, PRESENT = (120.0, 80.0), (judge.OVER * judge.START_LIMIT_N, judge.OVER * judge.END_LIMIT_N)
-BOUNDS_N: Final = {"alone": SINGLE, "link": SINGLE, "master": PRESENT, "both": PRESENT}
+BOUNDS_N: Final = {"alone": SINGLE, "master": PRESENT, "both": PRESENT}
 """Bounds of true START and END, N: those of a single fault without the master, and those of the matrix with it."""
-GUARDS: Final = ("alone", "link", "master", "both")
-WORDS: Final = {"alone": "monitor alone", "link": "monitor and weak link", "master": "master, no monitor",
-                "both": "both"}
-LINK_N: Final = 80.0
-"""Tension at START at which a weak link between drum and rope parts: above the person's 65 N there; friction of the
-path leaves less of it at END."""
+GUARDS: Final = ("alone", "master", "both")
+WORDS: Final = {"alone": "monitor alone", "master": "master, no monitor", "both": "both"}
 BY: Final = {int(code): code.text.partition(": ")[2] for code in Emcy if code.name.startswith("MONITOR_")}
 BEGIN, END = "<!-- monitor: begin -->", "<!-- monitor: end -->"
 WORST: Final = 12
@@ -106,19 +101,6 @@ def _concluding_nothing(check: Any) -> Any:
     return checked
 
 
-def weak_link() -> Any:
-    """Part the rope at the drum where its tension passes `LINK_N`, while this context lasts."""
-    advance = plants.Breakable.advance
-
-    def parting(plant: Any, until_ns: int, servo_nm: float, knee_nm: float) -> Any:
-        felt = advance(plant, until_ns, servo_nm, knee_nm)
-        if plant.second_sensors()[0] > LINK_N:
-            plant.snap(0)
-        return felt
-
-    return patch.object(plants.Breakable, "advance", parting)
-
-
 class _Bought:
     """While it lasts, drives have no tension limit, no step limit and no comparison of velocity with position
     and with the torque's sign."""
@@ -162,10 +144,8 @@ def ran(rows: Mapping[Walk, Sequence[Row]], guard: str, drive: str, person: Path
     for walk, mine in rows.items():
         by_name = {row.name: row for row in mine}
         with ExitStack() as switched:
-            if guard in ("alone", "link"):
+            if guard == "alone":
                 switched.enter_context(unchecked())
-            if guard == "link":
-                switched.enter_context(weak_link())
             if drive == "bought":
                 switched.enter_context(_Bought())
             found, twin = trial(mine, jobs, walk, **bench(guard, person, bounds))
@@ -189,15 +169,6 @@ def chosen(pattern: str, moments: Sequence[str], every: int, gait: str = "") -> 
         if at and re.search(pattern, row.name):
             found.setdefault(walk, []).append(dataclasses.replace(row, moments=at, walks=(walk,)))
     return found
-
-
-def beyond(rows: Mapping[Walk, Sequence[Row]], found: Sequence[Supervised], drive: str) -> dict[Walk, list[Row]]:
-    """Return the rows, with those of their moments, that the monitor alone did not keep within the bounds."""
-    broken = {(row.fault, row.moment) for row in found
-              if row.drive == drive and row.guard == "alone" and not row.within}
-    return {walk: kept for walk, mine in rows.items() if (kept := [
-        dataclasses.replace(row, moments=at) for row in mine
-        if (at := tuple(moment for moment in row.moments if (row.name, moment) in broken))])}
 
 
 # ---- healthy trials ----
@@ -307,7 +278,7 @@ def main() -> int:
     found = kept(given.csv)
     rows = chosen(given.rows, given.moments, given.every, given.gait)
     for drive, guard in turns:
-        for row in ran(beyond(rows, found, drive) if guard == "link" else rows, guard, drive, given.person, given.jobs):
+        for row in ran(rows, guard, drive, given.person, given.jobs):
             found.append(row)
             save(given.csv, found)
             print(f"{'      ' if row.within else 'BEYOND'} {row.drive:6} {row.guard:6} {row.fault:42} "
