@@ -42,13 +42,16 @@ hidden: $(VENV)/.installed-test
 	$(BIN)/python -m tests.hidden.run --page
 	$(BIN)/python -m tests.hidden.family_run --aside --first 7800 --every 4 --page
 
+# Both go on where they were interrupted; without out/*.jsonl (make clean) they begin anew.
 faults: $(VENV)/.installed-test
-	$(BIN)/python -m tests.faults.run --page docs/faults.md
-	$(BIN)/python -m tests.faults.run --cover --stealth --page docs/faults.md
+	@mkdir -p out
+	$(BIN)/python -m tests.faults.run --kept out/faults.jsonl --page docs/faults.md
+	$(BIN)/python -m tests.faults.run --kept out/faults.jsonl --cover --stealth --page docs/faults.md
 	$(BIN)/python -m tests.faults.monitor_alone --drive own bought --every 6 --csv docs/monitor.csv --page docs/safety_monitor.md
 
 healthy: $(VENV)/.installed-test
-	$(BIN)/python -m benchmarks.supervision --cost --healthy 500 --table docs/healthy.csv
+	@mkdir -p out
+	$(BIN)/python -m benchmarks.supervision --cost --healthy 500 --kept out/healthy.jsonl --table docs/healthy.csv
 	$(BIN)/python -m benchmarks.checks --page
 
 fuzz: $(VENV)/.installed-test

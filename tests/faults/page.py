@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from tests.faults import cover
 from tests.faults.argument import ACTIONS, HAZARDS
 from tests.faults.judge import (
     LEG_DEG,
@@ -24,6 +25,7 @@ from tests.faults.judge import (
     Verdict,
     beyond_stop,
 )
+from tests.faults.rows import ROWS
 from tests.faults.stage import PEAK_N, SEED
 
 BOUNDS = tuple((name, *of) for name, of in STOP.items())
@@ -112,7 +114,7 @@ def _summary(found: Sequence[Verdict]) -> list[str]:
     stops = [v for v in found if not math.isnan(v.torque_ms)]
     broken = [v for v in found if v.faults]
     lines = [f"{len({v.name for v in found})} faults, {len(found)} rows over {len({v.walk for v in found})} motions; {len(stops)} stops, {len(broken)} rows "
-             "beyond a bound.", "", "## Worst rows of each measure", "", "| measure | worst, bound | fault | at | motion | said |", "|---|---|---|---|---|---|"]
+             f"beyond a bound. {_coverage(found)}", "", "## Worst rows of each measure", "", "| measure | worst, bound | fault | at | motion | said |", "|---|---|---|---|---|---|"]
     for name, words, unit, bound, _ in BOUNDS:
         mine = sorted((v for v in stops if not v.unstoppable), key=lambda v: -getattr(v, name))[:WORST]
         lines += [f"| {words} | {getattr(v, name):.0f} of {bound:g} {unit} | {v.name} | {v.moment} | {v.walk} | {_said(v)} |" for v in mine]
@@ -133,6 +135,16 @@ def _summary(found: Sequence[Verdict]) -> list[str]:
         lines += ["", "## What goes unsaid, and why no signal could show it", ""]
         lines += [f"- {name}: {excuse}." for name, excuse in quiet.items()]
     return [*lines, "", "## By unsafe control action", "", *_by_action(found), "", "## Time by hazard", "", *_by_hazard(found)]
+
+
+def _coverage(found: Sequence[Verdict]) -> str:
+    """Return how many of the runs that `make faults` makes the table has."""
+    there = {(v.name, v.walk, v.moment) for v in found}
+    sampled = [(row.name, str(walk), moment) for walk, rows in cover.sample(ROWS).items() for row in rows for moment in row.moments]
+    slow = [(row.name, str(walk), moment) for row in ROWS if row.gradual for walk in row.walks for moment in walk.moments or row.moments
+            if moment in row.moments]
+    return (f"Among them are {len(there.intersection(sampled)):,} of the {len(sampled):,} runs of the covering sample (each sudden fault at every 5 % of the "
+            f"gait and every 0.6 s of home, jog and identify) and {len(there.intersection(slow))} of the {len(slow)} runs of slow faults.")
 
 
 def _said(v: Verdict) -> str:

@@ -13,13 +13,17 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.mark.faults
 @pytest.mark.parametrize("drive", ["own", "bought"])
-def test_the_monitor_alone_keeps_the_limb_within_its_bounds(drive: str) -> None:
+@pytest.mark.parametrize(("moment", "rows"), [
+    ("idle", "^knee encoder sign flipped$|^knee stage runs away$|^START × 0.5$|^servo stage shorted"),
+    ("ramp", "^servo encoder frozen$|^servo stage shorted")])
+def test_the_monitor_alone_keeps_the_limb_within_its_bounds(drive: str, moment: str, rows: str) -> None:
+    """At ramp the rope is taut: 1 ms later END would pass 80 N."""
     run = subprocess.run(
-        [sys.executable, "-m", "tests.faults.monitor_alone", "--guards", "alone", "--drive", drive, "--moments", "idle",
-         "--rows", "^knee encoder sign flipped$|^knee stage runs away$|^START × 0.5$|^servo stage shorted"],
+        [sys.executable, "-m", "tests.faults.monitor_alone", "--guards", "alone", "--drive", drive,
+         "--moments", moment, "--rows", rows],
         cwd=ROOT, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout + run.stderr
-    assert run.stdout.count("monitor: ") == 4
+    assert run.stdout.count("monitor: ") == rows.count("|") + 1
 
 
 @pytest.mark.faults
