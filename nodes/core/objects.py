@@ -61,6 +61,7 @@ class Objects:
         if not entry.readable:
             return Abort.WRITE_ONLY
         value = self.values.get(key)
+        # an empty string or domain is refused: a segmented upload of nothing breaks stock masters (decision 11)
         return (b"" if value is None else encode(entry.data_type, value)) or Abort.NO_DATA
 
     def may_download(self, key: int, size: int | None) -> Abort | None:

@@ -58,6 +58,7 @@ class Sync(Part):
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Process a received SYNC."""
+        # the counter that a SYNC of another length lacks decides who acts: it is not obeyed (decision 11)
         if (len(data) != self._length or self._fault) and not self._right_length(data):
             return
         if self._window_ns:
@@ -77,6 +78,7 @@ class Sync(Part):
             self._counter = self._counter % self._overflow + 1 if self._overflow else 0
             data = bytes((self._counter,)) if self._overflow else b""
             self._device.outbox.append(Frame(self.can_id, data))
+            # late calls skip periods and keep the raster: two SYNCs in a burst would be one cycle too many
             self._due_ns += (1 + (now_ns - self._due_ns) // self._period_ns) * self._period_ns
             self.receive(data, now_ns)
         return self._due_ns

@@ -50,12 +50,14 @@ class Rules:
         refusal = cob_id.check(objects.number(at), new)
         if refusal or not cob_id.exists(new):
             return refusal
+        # a PDO without a mapping could only be enabled by mistake (decision 11)
         if not objects.number(key(index + 0x200)):
             return Abort.INVALID_VALUE
         return Abort.INCOMPATIBLE if self._device.taken(at, new & cob_id.CAN_ID) else None
 
     def _mapping(self, index: int, subindex: int, value: int) -> Abort | None:
         objects = self._device.objects
+        # a master that writes its configuration twice is not wrong (decision 11)
         if value == objects.number(key(index, subindex)):
             return None
         if self._exists(index - 0x200) or (subindex and objects.number(key(index))):

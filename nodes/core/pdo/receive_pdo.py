@@ -94,6 +94,7 @@ class ReceivePdo:
         """Write the mapped objects, then inform the application of those it watches."""
         keys: tuple[int, ...] = self._keys
         raw: Sequence[Value] = self._unpack(data)
+        # a field outside its limits keeps its object, the others apply: there is no EMCY for it (decision 11)
         for at, place, bounds in self._judged:
             if self._refused(at, raw[place], bounds):
                 keys, raw = self._without_refused(raw)

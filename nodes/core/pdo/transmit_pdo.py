@@ -78,6 +78,7 @@ class TransmitPdo:
 
     def look(self, now_ns: int) -> None:
         """Detect an event: content that differs from the last transmission."""
+        # `stop` clears the last content, so that the state is sent once on entering OPERATIONAL (decision 11)
         if not self._requested and self.payload(self._device.values) != self._last:
             self._requested = True
             self._device.wake(self.poll(now_ns))

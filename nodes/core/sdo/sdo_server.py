@@ -59,10 +59,13 @@ class SdoServer(Part):
         transfer = self._transfer
         try:
             if data[:1] == bytes((_ABORT,)):
+                # an abort of any length ends the transfer and is not answered: an answer would begin a loop of aborts
                 self._transfer = None
                 return
             if len(data) != 8:
                 raise TransferAbortedError(Abort.COMMAND)
+            # a request in the middle of a transfer is refused at once, which beats a time-out; the next one works
+            # (decision 11)
             self._send(self._begin(data, now_ns) if transfer is None else transfer.receive(data, now_ns))
         except TransferAbortedError as refused:
             self._abort(refused.code, _about(data) if transfer is None else transfer.key)
@@ -109,6 +112,7 @@ class SdoServer(Part):
 
     def _expedited(self, head: int, key: int, data: bytes, now_ns: int) -> None:
         size = 4 - (head >> 2 & 3)
+        # expedited without a size: the object's own length, at most the four bytes of the frame
         if not head & _SIZE:
             entry = self._device.objects.entries.get(key)
             size = min(entry.data_type.size or 4, 4) if entry is not None else 4
