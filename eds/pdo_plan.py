@@ -222,7 +222,7 @@ def _tuple(items: Sequence[str]) -> str:
 
 
 class _Bits:
-    """The slow path: fields at any bit, least significant bit first (CiA 301, 7.4.7)."""
+    """The slow path: fields at any bit, least significant bit first (CiA 301, 7.1)."""
 
     def __init__(self, fields: Sequence[Field], size: int) -> None:
         self.size = size

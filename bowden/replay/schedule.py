@@ -130,7 +130,7 @@ def chosen_by(frames: Rows, selection: Selection) -> NDArray[np.bool_]:
 
 
 def nodes_of(frames: Rows) -> NDArray[np.int64]:
-    """Return the node of each frame by the pre-defined connection set (CiA 301, 7.3.5), −1 for extended identifiers."""
+    """Return the node of each frame by the pre-defined connection set (CiA 301, 7.3.3), −1 for extended identifiers."""
     can_id = frames["can_id"].astype(np.int64)
     broadcast = (can_id == NMT_COB_ID) | (can_id == SYNC_COB_ID) | (can_id == _TIME_COB_ID)
     node = np.where(broadcast, BROADCAST, can_id & _NODE_MASK)

@@ -28,11 +28,11 @@ class Network:
     rate_hz: int = parameter(1000, "Hz", "control cycles, and SYNC frames, per second", low=10, high=2000,
                              source="assumed: rate of the drives' position loop")
     heartbeat_ms: int = parameter(100, "ms", "heartbeat period of every node and the master", low=10, high=10_000,
-                                  source="assumed: CiA 301, 7.2.8.2.2")
+                                  source="assumed: CiA 301, 7.2.8.2.2.3")
     heartbeat_timeout_ms: int = parameter(250, "ms", "time without a heartbeat after which a node counts as lost",
                                           low=20, high=30_000, source="assumed: two and a half heartbeats")
     emcy_inhibit_ms: int = parameter(100, "ms", "least time between two EMCY frames of one node", low=1, high=6000,
-                                     source="assumed: CiA 301, 7.5.2.16")
+                                     source="assumed: CiA 301, 7.5.2.18")
     start_deadline_cycles: int = parameter(5, "", "cycles without START's tension after which the servo reacts", low=2,
                                            high=100, source="assumed: 0x1402:05")
     targets_deadline_ms: int = parameter(100, "ms", "time without targets after which a drive reacts; 0: never", low=0,

@@ -1,4 +1,4 @@
-"""SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.14), with CRC.
+"""SDO block transfer (CiA 301, 7.2.4.3.8 to 7.2.4.3.15), with CRC (7.2.4.3.16).
 
 The rule of this file: only the segments received in sequence count; the acknowledgement names the last of them and
 the sender repeats from there.  The CRC is CCITT's, 0x1021 from 0, over all data.
