@@ -30,6 +30,8 @@ def load(what: str, name: str, group: str, own: Mapping[str, str]) -> Any:
         return _imported(what, name)
     if name in own:
         return _imported(what, own[name])
+    if name.endswith(".py"):
+        raise InputError(f"{what} {name!r} names no callable in that file; give {name}:callable.")
     installed = {entry.name: entry.value for entry in entry_points(group=group)}
     if name not in installed:
         known = ", ".join(sorted({*own, *installed}))
@@ -48,7 +50,7 @@ def _imported(what: str, name: str) -> Any:
         sys.path.append(here)  # last: a file of the user must not hide an installed module; kept for its own imports
     try:
         found = reduce(getattr, attribute.strip().split("."), importlib.import_module(module))
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(f"{what} {name!r} cannot be imported ({type(error).__name__}: {error}); give module:callable "
                          "of what is on the module path or in the current folder, or path/to/file.py:callable."
                          ) from None
@@ -71,7 +73,7 @@ def _from_file(what: str, name: str, path: Path, attribute: str) -> Any:
             sys.modules[label] = importlib.util.module_from_spec(spec)
             spec.loader.exec_module(sys.modules[label])
         return reduce(getattr, attribute.strip().split("."), sys.modules[label])
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         sys.modules.pop(label, None)
         raise InputError(f"{what} {name!r} cannot be imported ({type(error).__name__}: {error}); mend {path}, or give "
                          "the name of a callable in it.") from None

@@ -17,7 +17,8 @@ from typing import Any
 
 from parameters import InputError
 from parameters.files import refuse_special, replaced
-from trial.mcap_file import cdr
+from trial.mcap_file import cdr, records
+from trial.mcap_file.container import MAGIC
 
 CHUNK = 64 << 10
 TOLD_OF_A_WHOLE = ("cycles", "settle")  # of a trial's metadata: does not hold for a part
@@ -92,6 +93,8 @@ def _reader(path: Path) -> Iterator[Any]:
     refuse_special(path)
     try:
         with path.open("rb") as file:
+            records.magic(file.read(len(MAGIC)), path)
+            file.seek(0)
             reader = SeekingReader(file)
             if reader.get_summary() is None:
                 raise InputError(f"{path}: has no summary; say bowden recover {path} -o FILE.")

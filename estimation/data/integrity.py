@@ -47,8 +47,11 @@ def signals_in(given: Table) -> Iterator[tuple[str, Array]]:
             yield name, values
 
 
-def stamps(given: Table, gap_steps: float = 5.0, least_rows: int = 100) -> Iterator[Finding]:
-    """Yield findings on time stamps that are too few, missing, not rising, or uneven; gaps: above `gap_steps` steps."""
+def stamps(given: Table, gap_steps: float = 5.0, least_rows: int = 100, slow_s: float = 0.5) -> Iterator[Finding]:
+    """Yield findings on time stamps that are too few, missing, not rising, above `slow_s` apart, or uneven.
+
+    A gap is above `gap_steps` steps.
+    """
     time = given["time_s"]
     if len(time) < least_rows:
         yield Finding(f"{given.source}: {len(time)} rows; expected at least {least_rows}.", True)
@@ -64,6 +67,10 @@ def stamps(given: Table, gap_steps: float = 5.0, least_rows: int = 100) -> Itera
                       f"{time[back[0]]:g}), {back.size} times in all.", True)
         return
     usual = float(np.median(step))
+    if usual > slow_s:
+        yield Finding(f"{given.source}: time_s advances {usual:.4g} s a row, in which a bench moves unseen; if it is "
+                      "in milliseconds, divide it by 1000, else record 100 rows a second or more.", True)
+        return
     step[np.asarray(given.seams, np.intp) - 1] = usual
     gaps = step > gap_steps * usual
     if gaps.any():

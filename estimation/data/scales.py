@@ -59,17 +59,22 @@ def rope_per_knee(given: Table) -> float | None:
 
 
 def against_range(trials: Sequence[Table], healthy: Sequence[Table]) -> Iterator[Finding]:
-    """Yield findings on forces whose largest value is a decade or more above that of the reference trials.
+    """Yield findings on forces whose largest value is a decade above that of the reference trials, or two below.
 
-    Neighbouring units differ by that much; wear, or another seal, changes forces about threefold.
+    Neighbouring units differ by that much; wear, or another seal, changes forces about threefold.  A gait of a low
+    peak may be a decade below.
     """
     for name in RANGED:
         usual = max((float(np.nanmax(np.abs(t[name]))) for t in healthy if _has_force(t, name)), default=0.0)
         for given in trials:
             most = float(np.nanmax(np.abs(given[name]))) if usual and _has_force(given, name) else 0.0
+            column = written(given, name)
+            unit = TURNING[column][1] if column in TURNING else "N"
+            if 0.0 < most < 0.01 * usual:
+                yield Finding(f"{given.source}: {column} reaches only {most:.3g} {unit}, in the healthy trials "
+                              f"{usual:.3g}: is it in k{unit}? State forces in {unit}, or leave out a column that "
+                              "reads nothing.", True)
             if most > 10.0 * usual:
-                column = written(given, name)
-                unit = TURNING[column][1] if column in TURNING else "N"
                 yield Finding(f"{given.source}: {column} reaches {most:.3g} {unit}, in the healthy trials at most "
                               f"{usual:.3g}: a signed number read as unsigned, another unit, or another motion; mend "
                               "the column, or give healthy trials of this range.", True)

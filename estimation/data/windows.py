@@ -17,12 +17,15 @@ def bounded(given: Table, most_s: float = 240.0, count: int = 12, seam_s: float 
     """Return a trial; of one longer than `most_s`, `count` windows that are as long together, spread evenly over it.
 
     The time between two windows is cut to `seam_s`, a gap after which the friction states are unknown again.  A note
-    says so.  A trial whose time stamps do not rise is returned whole.
+    says so.  A trial whose time stamps do not rise, or have fewer than 100 rows a window, is returned whole.
     """
-    time = given["time_s"]
-    if given.seams or time.size < 2 or not time[-1] - time[0] > most_s or not (np.diff(time) > 0.0).all():
+    time, length = given["time_s"], most_s / count
+    if given.seams or time.size < 100 * count or not time[-1] - time[0] > most_s:
         return given
-    span, length = float(time[-1] - time[0]), most_s / count
+    step = np.diff(time)
+    if not (step > 0.0).all() or np.median(step) > length / 100:
+        return given
+    span = float(time[-1] - time[0])
     begins = np.linspace(0.0, span - length, count)
     first = np.searchsorted(time, time[0] + begins)
     last = np.searchsorted(time, time[0] + begins + length, side="right")

@@ -94,6 +94,16 @@ def test_a_cut_keeps_what_explains_it_and_the_parts_merge_to_the_whole(
     assert again.attachments == {"notes.txt": b"as it was"}
 
 
+def test_a_table_of_one_row_is_listed_and_neither_cut_nor_merged(
+    here: Path, bowden: Callable[..., tuple[int, str, str]]
+) -> None:
+    (here / "one.csv").write_text("time_s,tension_start_n\n0,1\n")
+    assert bowden("info", "one.csv")[::2] == (0, "")
+    for words in (("cut", "one.csv", "--to", "1"), ("merge", "one.csv", "one.csv")):
+        status, _, err = bowden(*words, "-o", "a.mcap")
+        assert (status, "not an MCAP file; give a recorded trial, or import the file first." in err) == (2, True), err
+
+
 def test_a_cut_takes_gait_cycles(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
     made(here / "whole.mcap")
     assert bowden("cut", "whole.mcap", "--gait", "1-2", "-o", "part.mcap")[0] == 0

@@ -47,6 +47,18 @@ def test_another_unit_is_refused_with_the_factor(unit: str, factor: float) -> No
     assert f"probably {unit}: divide it by {told}" in refusal(moved(**{name: factor * moved()[name]}))
 
 
+def test_time_in_milliseconds_is_refused_with_the_factor_though_the_trial_looks_long() -> None:
+    assert "if it is in milliseconds, divide it by 1000" in refusal(moved(time_s=4.0 * np.arange(1500)))
+
+
+def test_forces_in_kilonewton_are_refused_beside_a_reference() -> None:
+    small = moved(tension_start_n=1e-3 * moved()["tension_start_n"])
+    (found,) = against_range([small], [moved()])
+    assert "tension_start_n reaches only 0.038" in found.text
+    assert "is it in kN?" in found.text
+    assert not list(against_range([moved(tension_start_n=0.1 * moved()["tension_start_n"])], [moved()]))
+
+
 def test_too_few_cycles_are_refused() -> None:
     assert "2 cycles" in refusal(moved(cycles=2))
 

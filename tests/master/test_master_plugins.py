@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -175,11 +176,18 @@ def test_the_packaged_controllers_are_entry_points() -> None:
     ("no_such_module:Thing", "cannot be imported (ModuleNotFoundError"),
     (f"{HERE}:Missing", "cannot be imported (AttributeError"),
     (f"{HERE}:AT", "is no callable"),
+    ("own.py", "names no callable in that file; give own.py:callable"),
 ])
 def test_a_name_that_is_nobodys_is_refused(name: str, says: str) -> None:
     with pytest.raises(InputError, match="--controller: controller") as raised:
         controller.find(name, where="--controller")
     assert says in str(raised.value)
+
+
+def test_a_file_that_exits_when_imported_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "leaves.py").write_text("import sys\nsys.exit(3)\n")
+    with pytest.raises(InputError, match=r"cannot be imported \(SystemExit: 3\); mend"):
+        controller.find(f"{tmp_path}/leaves.py:Own", where="--controller")
 
 
 def test_a_replay_onto_a_controller_of_others_compares_its_own_columns() -> None:

@@ -180,7 +180,7 @@ def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
         return None
     values = sheet.column(name)
     known = values[np.isfinite(values)]
-    if not len(known) or (signal == "time_s" and (np.diff(known) < 0).mean() > 0.01):
+    if not len(known) or (signal == "time_s" and (np.diff(known) < 0).sum() > 0.01 * len(known)):
         return None
     score = 10.0 * (name == signal) + 2 * met + 0.5 * _met(words, wanted.likes) + bool(unit) - 0.1 * len(words)
     chosen, scale, why = _unit(signal, si, unit, known)
