@@ -1,4 +1,4 @@
-"""Folder of numba's compiled functions where neither the packages nor the home folder can be written, as in containers.
+"""Caches of numba and matplotlib where neither the packages nor the home folder can be written, as in containers.
 
 numba looks for a place when a function is declared, so this runs before the first room that declares one.
 """
@@ -11,19 +11,24 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-VARIABLE = "NUMBA_CACHE_DIR"
+VARIABLE, FONTS = "NUMBA_CACHE_DIR", "MPLCONFIGDIR"
 
 
 def prepare(packages: Path, environment: Mapping[str, str] | None = None) -> Path | None:
     """Return a temporary folder for compiled functions and name it in the environment; None where none is needed.
 
-    `packages`: a folder of the installed packages.  One sentence on stderr states what to set.
+    `packages`: a folder of the installed packages.  One sentence on stderr states what to set.  matplotlib's list of
+    fonts goes to a temporary folder, too, without a home folder.
     """
     given = os.environ if environment is None else environment
-    if VARIABLE in given or _writable(packages) or any(map(_writable, _homes(given))):
+    if any(map(_writable, _homes(given))):
         return None
     folder = Path(tempfile.gettempdir(), f"bowden-compiled-{os.getuid() if hasattr(os, 'getuid') else 0}")
     folder.mkdir(mode=0o700, exist_ok=True)
+    if not given.get(FONTS):
+        os.environ[FONTS] = str(folder)
+    if given.get(VARIABLE) or _writable(packages):
+        return None
     os.environ[VARIABLE] = str(folder)
     print(f"bowden: neither the packages nor a home folder can be written, so compiled functions go to {folder}; set "
           f"{VARIABLE} to a folder that stays, or compile into the image with bowden doctor --compile.",

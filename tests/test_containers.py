@@ -39,10 +39,14 @@ def test_a_temporary_cache_is_used_only_where_nothing_can_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv(compile_cache.VARIABLE, "")
+    monkeypatch.setenv(compile_cache.FONTS, "")
     none = Path("/proc/none")
-    for packages, environment in ((tmp_path, {}), (none, {"HOME": str(tmp_path)}), (none, {"NUMBA_CACHE_DIR": "x"})):
+    assert compile_cache.prepare(none, {"HOME": str(tmp_path)}) is None
+    assert not os.environ[compile_cache.FONTS]
+    for packages, environment in ((tmp_path, {}), (none, {"NUMBA_CACHE_DIR": "x"})):
         assert compile_cache.prepare(packages, environment) is None
-    made = compile_cache.prepare(none, {"HOME": "/proc/none"})
+        assert os.environ[compile_cache.FONTS], "matplotlib would complain twice"
+    made = compile_cache.prepare(none, {"HOME": "/proc/none", "NUMBA_CACHE_DIR": ""})
     assert made is not None
     assert os.environ[compile_cache.VARIABLE] == str(made)
     assert capsys.readouterr().err.count("\n") == 1

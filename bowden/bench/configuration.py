@@ -60,6 +60,9 @@ def read(path: Path | None, *, any_shape: bool = False, person: Path | None = No
     given = read_toml(path) if path else {}
     arrays = {name: given.pop(name) for name in ARRAYS if name in given}
     for name, content in given.items():
+        if name not in TABLES and not isinstance(content, dict | list):
+            raise InputError(f"{path}: {name} = {content!r} stands before the first table; write it below the [table] "
+                             "that it belongs to, such as [network].")
         if name not in TABLES:
             raise InputError(
                 f"{path}: unknown table [{name}]; expected one of {', '.join((*TABLES, *ARRAYS))}.")

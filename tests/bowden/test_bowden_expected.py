@@ -196,6 +196,20 @@ def test_a_place_that_cannot_be_written_is_one_sentence(here: Path, bowden: Bowd
     assert "Traceback" not in err
 
 
+@pytest.mark.parametrize(("name", "text", "arguments", "says"), [
+    ("own.toml", "rate_hz = 100\n", ("check", "config"),
+     "rate_hz = 100 stands before the first table; write it below the [table] that it belongs to"),
+    ("a.csv", "time_s,tension_end_n\n0,1\n", ("monitor",), "a.csv: is no CAN log of its ending; give .mcap"),
+])
+def test_a_file_of_another_kind_is_named_without_a_word_of_a_library(
+    here: Path, bowden: Bowden, name: str, text: str, arguments: tuple[str, ...], says: str
+) -> None:
+    (here / name).write_text(text)
+    status, out, err = bowden(*arguments, name)
+    assert (status, out) == (2, "")
+    assert says in err
+
+
 # ---- never mislead ----
 
 

@@ -163,8 +163,8 @@ def _recorded(source: Path) -> Iterator[Any]:
             yield from reader
     except InputError:
         raise
-    except (can.CanError, OSError, ValueError, EOFError, KeyError, IndexError) as error:
-        raise InputError(f"{source}: cannot be read as a CAN log ({error}); give .mcap, .log, .asc or .blf.") from None
+    except (can.CanError, OSError, ValueError, EOFError, KeyError, IndexError):
+        raise InputError(f"{source}: is no CAN log of its ending; give .mcap, .log, .asc or .blf.") from None
 
 
 def _reader(source: Path) -> Any:
