@@ -1,8 +1,8 @@
 """extended.toml: result of a diagnosis as a bench model that the simulator and the controller load.
 
 `[parameters.NAME]`: constants of the bench from its calibration or its reference trials.  `[effects.NAME]`: effects
-found.  `[[terms]]`: terms beyond them.  `[found]`: verdict, trials and gains of the diagnosis.  The format is that of
-`physics.bench_model`.
+found.  `[[terms]]`: effects of a user's own, and terms beyond them.  `[found]`: verdict, trials and gains of the
+diagnosis.  The format is that of `physics.bench_model`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from physics.bench_model import RIG
 from physics.calibration import rows
 from physics.effects.catalogue import CATALOGUE, apply
 from physics.effects.effects_table import EVIDENCE, TABLE
+from physics.effects.own_effects import OWN
 from physics.older_files import VERSION
 
 HEAD: Final = (
@@ -43,10 +44,10 @@ def text(found: Findings, trials: Sequence[Table]) -> str:
         lines.append(f"experiment = {_cell(found.experiment)}")
     if found.causes:
         lines += [f"gain_percent = {_inline((c['effect'], round(c['gain_percent'], 2)) for c in found.causes)}"]
+    modulated = [OWN[c["effect"]].term(c["parameters"]) for c in found.causes if c["effect"] in OWN]
     for cause in found.causes:
-        lines += _effect(cause, seconds)
-    if found.laws is not None:
-        lines += terms.rows(found.laws.terms)
+        lines += _effect(cause, seconds) if cause["effect"] not in OWN else []
+    lines += terms.rows([*modulated, *(() if found.laws is None else found.laws.terms)])
     return "\n".join(lines) + "\n"
 
 

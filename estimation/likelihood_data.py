@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -95,6 +96,21 @@ class Recording:
             at.append(even[:part.size])
             smooth.append(sosfiltfilt(sos, part, padlen=min(3 * (2 * len(sos) + 1), part.size - 1)))
         return np.asarray(np.interp(self._grid, np.concatenate(at), np.concatenate(smooth)))
+
+    @cached_property
+    def phase(self) -> Array | None:
+        """Gait phase of each bin, 0 … 1; None if the trial has no gait cycles."""
+        time = self._table["time_s"]
+        if "gait_percent" in self._table:
+            phase = self._table["gait_percent"] / 100.0 % 1.0
+        elif "cycle" in self._table:
+            number = np.floor(np.nan_to_num(self._table["cycle"]))
+            _, first, count = np.unique(number, return_index=True, return_counts=True)
+            phase = np.concatenate([np.arange(n) / n for n in count[np.argsort(first)]])
+        else:
+            return None
+        at = np.searchsorted(time, self.binned(self.time_s) + time[0])
+        return np.asarray(phase[np.minimum(at, time.size - 1)])
 
     @property
     def bins(self) -> int:

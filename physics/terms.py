@@ -9,8 +9,9 @@ the carrier is a constant of the bench, a term has a unit and a part of the benc
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -18,6 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from parameters import InputError
+from physics import expressions
 from physics.laws import Array
 
 SPEED_M_S: Final = 5e-3
@@ -130,6 +132,20 @@ MODULATIONS: Final[Mapping[str, Modulation]] = MappingProxyType({
 """Modulations of terms, by name: the functions of the trial's course that may multiply a constant."""
 
 
+EXPRESSION: Final = "expression"
+"""Modulation of a term whose function is a user's expression over the signals of `Course` and its parameters."""
+
+
+def modulation_of(name: str, expression: str = "", parameters: Iterable[str] = ()) -> Modulation:
+    """Return a modulation of the library, or that of an `expression` with the names of its parameters."""
+    if name != EXPRESSION:
+        return MODULATIONS[name]
+    function = expressions.compiled(expression)
+    return Modulation(dict.fromkeys(parameters, ""), lambda c, p: [np.broadcast_to(function({
+        **{key: 0.0 if value is None else value for key, value in c._asdict().items()}, **p}), c.time_s.shape)],
+        f" · ({expression})".replace("{", "{{").replace("}", "}}"), "time_s", "repeat the trial")
+
+
 class Carrier(NamedTuple):
     """A constant that terms may modulate: unit of the coefficient ("": relative), 1σ of its size, part, and words."""
 
@@ -148,7 +164,8 @@ class Carrier(NamedTuple):
 class Term:
     """A term with its numbers: `coefficients`, one for each component of the modulation, with 95 % intervals.
 
-    `unit`: of the coefficients ("": relative to the constant).  `part`: part of the bench.
+    `unit`: of the coefficients ("": relative to the constant).  `part`: part of the bench.  `expression`: function of
+    a modulation that is not in the library.
     """
 
     carrier: str
@@ -159,6 +176,12 @@ class Term:
     unit: str
     part: str
     words: str
+    expression: str = ""
+
+    @property
+    def shape(self) -> Modulation:
+        """The modulation, of the library or by the term's own expression."""
+        return modulation_of(self.modulation, self.expression, self.parameters)
 
     @property
     def size(self) -> float:
@@ -180,7 +203,7 @@ class Term:
 
     def course(self, course: Course) -> Array:
         """Return a·m(t), shape (samples,), in the unit of the coefficient."""
-        parts = MODULATIONS[self.modulation].function(course, self.parameters)
+        parts = self.shape.function(course, self.parameters)
         return np.asarray(sum(a * part for a, part in zip(self.coefficients, parts, strict=True)))
 
     def changed(self, value: float, course: Course) -> Array:
@@ -191,9 +214,8 @@ class Term:
     @property
     def equation(self) -> str:
         """Return the term in words with its numbers: "friction of the cable × (1 + 0.31 · sin(x/20 mm + 0.4))"."""
-        shape = MODULATIONS[self.modulation].words.format(**{
-            name: quantity(value, MODULATIONS[self.modulation].parameters[name])
-            for name, value in self.parameters.items()})
+        shape = self.shape.words.format(**{
+            name: quantity(value, self.shape.parameters[name]) for name, value in self.parameters.items()})
         if self.phase_rad is not None:
             shape = shape.replace("phase)", f"{self.phase_rad:.2g})".replace("-", "−")).replace("+ −", "− ")
         low, high = self.interval
@@ -237,6 +259,7 @@ def rows(terms: Sequence[Term]) -> list[str]:
                   f"coefficients = {list(term.coefficients)!r}",
                   f"intervals = {[list(pair) for pair in term.intervals]!r}", f'unit = "{term.unit}"',
                   f'part = "{term.part}"', f'words = "{term.words}"']
+        lines += [f"{EXPRESSION} = {json.dumps(term.expression)}"] if term.expression else []
     return lines
 
 
@@ -250,12 +273,16 @@ def stated(tables: Mapping[str, Any], where: str) -> tuple[Term, ...]:
 
 def _term(row: Any, where: str) -> Term:
     expected = ("carrier", "modulation", "parameters", "coefficients", "intervals", "unit", "part", "words")
-    if not isinstance(row, Mapping) or set(row) != set(expected):
+    own = isinstance(row, Mapping) and row.get("modulation") == EXPRESSION
+    if not isinstance(row, Mapping) or set(row) != {*expected, *([EXPRESSION] if own else [])}:
         raise InputError(f"{where}: expected the keys {', '.join(expected)}; copy the term as bowden discover "
                          "wrote it.")
-    shape = MODULATIONS.get(row["modulation"])
-    if shape is None:
+    expression = str(row[EXPRESSION]) if own else ""
+    if own:
+        expressions.names_of(expression, {*Course._fields, *row["parameters"]}, where)
+    elif row["modulation"] not in MODULATIONS:
         raise InputError(f"{where}: modulation = {row['modulation']!r}; expected one of {', '.join(MODULATIONS)}.")
+    shape = modulation_of(row["modulation"], expression, row["parameters"])
     if set(row["parameters"]) != set(shape.parameters):
         raise InputError(f"{where}: parameters {', '.join(row['parameters']) or 'none'}; expected "
                          f"{', '.join(shape.parameters) or 'none'} of {row['modulation']}.")
@@ -267,4 +294,4 @@ def _term(row: Any, where: str) -> Term:
     return Term(str(row["carrier"]), str(row["modulation"]), {n: float(v) for n, v in row["parameters"].items()},
                 tuple(float(v) for v in row["coefficients"]),
                 tuple((float(low), float(high)) for low, high in row["intervals"]), str(row["unit"]), str(row["part"]),
-                str(row["words"]))
+                str(row["words"]), expression)

@@ -28,11 +28,16 @@ class Diagnosis:
 
     `model`: the identified bench model, or its calibration.toml (None: the one attached to each trial). `lowpass_hz`:
     cut-off of the zero-phase low-pass put on every signal first. `path`: force path of trials of
-    several, or joint of tables whose columns are `<joint>.<header>`.
+    several, or joint of tables whose columns are `<joint>.<header>`. `effects`: files of effects of your own; they stay
+    in the catalogue of this process.
     """
 
-    def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, path: str | None = None) -> None:
+    def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, path: str | None = None,
+                 effects: Iterable[str | Path] = ()) -> None:
         from diagnosis.finder import Finder
+        from physics.effects import own_effects
+
+        own_effects.read_each(effects)
 
         self.model = None if model is None else model_files.given(model)
         known = None if self.model is None else dataclasses.replace(self.model, effects={}, found={})

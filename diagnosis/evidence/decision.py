@@ -157,8 +157,12 @@ def misfits(found: Searched, at: PosteriorMode, variants: Sequence[Variant] = ()
     for k, name in enumerate(observed.outputs):
         own = observed.tau[k] * observed.part(squares, k)[observed.part(observed.weight, k) > 0.0]
         told[name] = float(np.mean(np.minimum(own, HUBER**2)))
-    cost = at.cost / (observed.count * observed.cost * float(observed.growth.mean()))
-    return told | {"session": min(cost, at.strain())}
+    return told | {"session": departure(observed, at)}
+
+
+def departure(observed: Observed, at: PosteriorMode) -> float:
+    """Return how far a mode is from a reference trial's: `session` of `Decision.misfit`."""
+    return min(at.cost / (observed.count * observed.cost * float(observed.growth.mean())), at.strain())
 
 
 def _left(at: PosteriorMode, errors: Sequence[Array]) -> Array:

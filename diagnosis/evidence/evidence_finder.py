@@ -20,6 +20,7 @@ from diagnosis.findings import Findings
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel, predicted
 from estimation.likelihood_data import Recording
+from estimation.own_effects_model import with_own_effects
 from estimation.path_model import PATH_MODEL
 from estimation.population_reference import reference_of_population
 from estimation.posterior import SURROGATE, Observed, PosteriorMode, begun, mode, named_change
@@ -43,7 +44,7 @@ class EvidenceFinder:
 
         `session_sd`: 1σ between sessions by constant, in coordinates (None: the published one).
         """
-        self.model = model
+        self.model = with_own_effects(model)
         self._tables, self._calibration = reference, calibration
         self._session_sd = session_sd
         self._fits: dict[tuple[str, ...], ReferenceFit] = {}

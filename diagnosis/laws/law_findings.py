@@ -8,12 +8,11 @@ from typing import Final
 import numpy as np
 
 from diagnosis.compared_signals import Figures
-from diagnosis.evidence.decision import SET_SHARE
+from diagnosis.evidence.decision import DOUBTED, SET_SHARE, departure
 from diagnosis.evidence.held_out import HeldOut, blocks_of
 from diagnosis.laws.law_result import Laws, Picture
 from diagnosis.laws.law_search import EXPLAINED, MOST_TERMS, WORSE, Candidate, LawSearch
 from estimation.data.table import Table
-from estimation.likelihood_data import Recording
 from estimation.posterior import Observed, PosteriorMode
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
@@ -31,34 +30,35 @@ def discover(reference: ReferenceFit, observed: Observed, tables: Sequence[Table
     """Return the terms that extend the model of `reference` in trials of one session.
 
     `observed`: the trials' data; `tables`: the same trials; `variants`: effects that stay beside the terms.  A term is
-    kept if it gains on held-out cycles and worsens no signal there by more than `WORSE`.  The first one that is not
-    ends the search.
+    kept if it gains on held-out cycles, or brings the session's constants back into their scatter, and worsens no
+    signal on held-out cycles by more than `WORSE`.  The first one that is not kept ends the search.
     """
     blocks = blocks_of(tables, observed.trials)
-    search = LawSearch(observed, reference.prior_of(observed), reference, blocks, _phases(tables, observed.trials),
-                       variants)
+    search = LawSearch(observed, reference.prior_of(observed), reference, blocks, variants)
     chosen, at, session, fault = list[Candidate](), search.base, search.held_out(), ""
     residual, runners = session, list[Candidate]()
 
     def figures(before: Array, after: Array) -> dict[str, Figures]:
         return HeldOut(observed, reference.missed(observed), before, after, blocks).figures(reference)
 
+    outside = departure(observed, at) > DOUBTED
     while len(chosen) < MOST_TERMS and not (chosen and _small(_judged(observed, figures(session, residual)))):
         offers = search.further(chosen, at)
         # the evidence is linear and of all cycles, so that held-out cycles decide between nearly equal candidates
-        tried: list[tuple[float, int, list[Candidate], PosteriorMode, Array]] = []
+        tried: list[tuple[bool, float, int, list[Candidate], PosteriorMode, Array]] = []
         for offer in [c for c in offers if c.nats >= CLOSE_CALL * offers[0].nats][:TRIED]:
             more = search.swapped([*chosen, offer]) if chosen else [offer]
             there = search.fitted(more)
             then = search.predicted(more, there)
             errors = figures(residual, then)
-            fault = _fault(errors, _judged(observed, errors), further=bool(chosen))
-            if not fault:
-                tried.append((sum((f.rmse_after or 0.0) ** 2 / (f.floor or 1e-12) ** 2
-                                  for f in _judged(observed, errors)), len(tried), more, there, then))
+            fault = _worse(errors) or _fault(_judged(observed, errors), further=bool(chosen))
+            back = not chosen and outside and departure(observed, there) <= DOUBTED and not _worse(errors)
+            if not fault or back:
+                left = sum((f.rmse_after or 0.0) ** 2 / (f.floor or 1e-12) ** 2 for f in _judged(observed, errors))
+                tried.append((bool(fault), -there.log_evidence if fault else left, len(tried), more, there, then))
         if not tried:
             break
-        _, _, more, there, residual = min(tried)
+        _, _, _, more, there, residual = min(tried)
         runners = runners or [c for c in offers if c.shape != more[0].shape and c.nats > SET_SHARE * offers[0].nats]
         chosen, at, fault = more, there, ""
     return Laws(search.terms(chosen, at), [c.nats for c in chosen], figures(session, residual),
@@ -76,15 +76,18 @@ def _small(judged: Sequence[Figures]) -> bool:
     return all((f.rmse_after or 0.0) < (f.floor or 0.0) for f in judged)
 
 
-def _fault(errors: dict[str, Figures], judged: Sequence[Figures], *, further: bool) -> str:
-    """Return why a term is not kept, by errors on held-out cycles without it (`session`) and with it; "" if it is.
+def _worse(errors: dict[str, Figures]) -> str:
+    """Return a sentence on a signal whose error on held-out cycles grows by more than `WORSE` with a term, else ""."""
+    return next((f"{name} is predicted worse on held-out cycles" for name, f in errors.items()
+                 if (f.rmse_after or 0.0) > WORSE * (f.rmse_session or 0.0)), "")
+
+
+def _fault(judged: Sequence[Figures], *, further: bool) -> str:
+    """Return why a term does not gain, by errors on held-out cycles without it (`session`) and with it; "" if it does.
 
     A first term must explain a share `EXPLAINED` of a judged signal's error.  A `further` one must lower a squared
     error by that between reference trials.
     """
-    worse = [name for name, f in errors.items() if (f.rmse_after or 0.0) > WORSE * (f.rmse_session or 0.0)]
-    if worse:
-        return f"{worse[0]} is predicted worse on held-out cycles"
     if all((f.low or 0.0) <= 0.0 for f in judged):
         return "no gain on held-out cycles that whole cycles confirm"
     gains = [((f.rmse_session or 0.0), (f.rmse_after or 0.0), f.floor or 0.0) for f in judged]
@@ -111,22 +114,3 @@ def _picture(search: LawSearch, chosen: Sequence[Candidate], at: PosteriorMode, 
     values = getattr(search.modulated[0].of(chosen[k].carrier), depends if depends != "nothing" else "time_s")
     return Picture(depends if depends != "nothing" else "time_s", name, search.observed.model.signals[name],
                    trial.binned(values), left[name], laws[name])
-
-
-def _phases(tables: Sequence[Table], trials: Sequence[Recording]) -> list[Array] | None:
-    """Return the gait phase of each bin, 0 … 1, by trial; None if the trials have no gait cycles."""
-    if not all("cycle" in table or "gait_percent" in table for table in tables):
-        return None
-    return [_phase(table, trial) for table, trial in zip(tables, trials, strict=True)]
-
-
-def _phase(table: Table, trial: Recording) -> Array:
-    time = table["time_s"]
-    if "gait_percent" in table:
-        phase = np.asarray(table["gait_percent"] / 100.0 % 1.0)
-    else:
-        number = np.floor(np.nan_to_num(table["cycle"]))
-        _, first, count = np.unique(number, return_index=True, return_counts=True)
-        phase = np.concatenate([np.arange(n) / n for n in count[np.argsort(first)]])
-    at = np.searchsorted(time, trial.binned(trial.time_s) + time[0])
-    return np.asarray(phase[np.minimum(at, time.size - 1)])

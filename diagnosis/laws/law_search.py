@@ -22,9 +22,11 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 from diagnosis.evidence.decision import NAMED_NATS
-from diagnosis.laws.library import VIBRATING, Candidates, Modulated, candidates, carriers_of, in_units, modulated
+from diagnosis.laws.library import VIBRATING, Candidates, candidates, carriers_of
+from estimation.modulated_recording import ModulatedRecording, modulated
 from estimation.posterior import Gaussian, Observed, PosteriorMode, begun, mode, screened
 from estimation.reference_fit import ReferenceFit
+from physics.effects.carriers import in_units
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 from physics.terms import MODULATIONS, Carrier, Term
@@ -62,19 +64,17 @@ class Candidate(NamedTuple):
 class LawSearch:
     """Search of terms in the trials of one session, from the fit `base` of constants and discrepancy.
 
-    `blocks`: cycle number of each bin, by trial.  `phases`: gait phase of each bin, by trial, or None.  `variants`:
-    effects of the catalogue that stand beside the terms.
+    `blocks`: cycle number of each bin, by trial.  `variants`: effects of the catalogue that stand beside the terms.
     """
 
     observed: Observed
     prior: Gaussian
     reference: ReferenceFit
     blocks: Sequence[NDArray[np.intp]]
-    phases: Sequence[Array] | None
     variants: Sequence[Variant] = ()
     base: PosteriorMode = field(init=False)
     carriers: dict[str, Carrier] = field(init=False)
-    modulated: list[Modulated] = field(init=False)
+    modulated: list[ModulatedRecording] = field(init=False)
     library: Candidates = field(init=False)
 
     def __post_init__(self) -> None:
@@ -87,9 +87,7 @@ class LawSearch:
             start = begun(self.base, variant, sizes, self.variants[:count])
             self.base = mode(self.observed, self.prior, self.variants[:count + 1], start)
         model = self.observed.model
-        phases: Sequence[Array | None] = self.phases or [None] * len(self.observed.trials)
-        self.modulated = [modulated(model, self.base.q, trial, phase)
-                          for trial, phase in zip(self.observed.trials, phases, strict=True)]
+        self.modulated = [modulated(model, self.base.q, trial) for trial in self.observed.trials]
         self.carriers = carriers_of(model, self.observed.outputs)
         self.library = candidates(self.modulated[0].course)
 
@@ -113,7 +111,7 @@ class LawSearch:
         """Return the components of a modulation of a carrier over all data, shape (data, components)."""
         parts = []
         for trial in self.modulated:
-            rows = np.stack(trial.bins(carrier, name, parameters), axis=1)
+            rows = np.stack(trial.bins(carrier, MODULATIONS[name], parameters), axis=1)
             parts.append(np.tile(rows, (len(self.observed.outputs), 1)))
         return np.concatenate(parts)
 

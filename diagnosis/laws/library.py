@@ -7,38 +7,13 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from estimation.forward_model import ForwardModel
-from estimation.likelihood_data import GRID_S, Recording
+from estimation.own_effects_model import OwnEffectsModel
 from estimation.path_model import PathModel
-from physics.constant_table import ConstantTable
-from physics.effects.hypotheses import DRIVE, ELASTICITY, FRICTION, GEOMETRY, SENSOR, TIMING
-from physics.laws import Array
-from physics.terms import MODULATIONS, Carrier, Course
+from physics.effects.carriers import PATH_CARRIERS, needed
+from physics.terms import Carrier, Course
 
-_C = Carrier
-PATH_CARRIERS: Final[Mapping[str, Carrier]] = {
-    "zero": _C("m", 3e-3, GEOMETRY, "zero of the rope"),
-    "arm": _C("m/rad", 2e-3, GEOMETRY, "lever arm of the knee"),
-    "stiffness": _C("", 0.25, ELASTICITY, "stiffness of the path"),
-    "cable": _C("", 0.4, FRICTION, "friction of the cable"),
-    "fabric": _C("", 0.5, FRICTION, "friction of the fabric"),
-    "dry": _C("N", 2.0, FRICTION, "friction that no load changes"),
-    "viscous": _C("N·s/m", 12.0, FRICTION, "viscous friction of the rope"),
-    "cable_travel": _C("", 0.7, FRICTION, "pre-sliding travel of the cable"),
-    "start_gain": _C("", 0.06, SENSOR, "gain of START"),
-    "start_offset": _C("N", 2.0, SENSOR, "START"),
-    "end_gain": _C("", 0.06, SENSOR, "gain of END"),
-    "end_offset": _C("N", 2.0, SENSOR, "END"),
-    "start_lag": _C("s", 0.01, TIMING, "lag of START"),
-    "end_lag": _C("s", 0.01, TIMING, "lag of END"),
-    "drive_coulomb": _C("N", 5.0, DRIVE, "Coulomb friction of the servo"),
-    "drive_viscous": _C("N·s/m", 60.0, DRIVE, "viscous friction of the servo"),
-    "drive_offset": _C("N", 3.0, DRIVE, "servo force"),
-    "demand_gain": _C("", 0.1, DRIVE, "gain of the servo's force"),
-}
-"""Constants of the bench that terms may modulate; sizes as the catalogue's effects of the same constant have them."""
 VIBRATING: Final = frozenset({"end_offset", "start_offset", "drive_offset", "offset"})
 """Constants that a sine in time may modulate: a signal that vibrates, whatever the force."""
 SHARES: Final = (0.05, 0.15, 0.4)
@@ -57,10 +32,8 @@ class Candidates(NamedTuple):
 
 def carriers_of(model: ForwardModel, outputs: tuple[str, ...]) -> dict[str, Carrier]:
     """Return the constants of a model that terms may modulate if `outputs` were recorded, by name."""
-    if isinstance(model, PathModel):
-        missing = [prefix for prefix, output in (("end_", "tension_end_n"), ("drive_", "servo_force_n"),
-                                                 ("demand_", "servo_force_n")) if output not in outputs]
-        return {name: c for name, c in PATH_CARRIERS.items() if not name.startswith(tuple(missing) or ("-",))}
+    if isinstance(model, PathModel | OwnEffectsModel):
+        return {name: c for name, c in PATH_CARRIERS.items() if set(needed(name)) <= set(outputs)}
     return _carriers_of_rig(model)
 
 
@@ -72,24 +45,10 @@ def _carriers_of_rig(model: ForwardModel, sessions: float = 5.0) -> dict[str, Ca
     for i in model.constants.free:
         row = model.constants.rows[i]
         if row.form == "log" or row.name.endswith("gain"):
-            made[row.name] = _C("", 0.4, parts.get(row.name, "rig"), row.meaning)
+            made[row.name] = Carrier("", 0.4, parts.get(row.name, "rig"), row.meaning)
         elif row.unit and row.session_sd:
-            made[row.name] = _C(row.unit, sessions * row.session_sd, parts.get(row.name, "rig"), row.meaning)
+            made[row.name] = Carrier(row.unit, sessions * row.session_sd, parts.get(row.name, "rig"), row.meaning)
     return made
-
-
-def in_units(table: ConstantTable, q: Array, name: str, carrier: Carrier) -> float:
-    """Return dq/da: the change of a coordinate by a unit of a term's coefficient at coordinates `q`.
-
-    A relative coefficient changes the value v by v·a, an absolute one by a.
-    """
-    index = table.index[name]
-    step = table.step[index]
-    ahead = q.copy()
-    ahead[index] += step
-    value = float(table.values(q)[index])
-    slope = (float(table.values(ahead)[index]) - value) / step
-    return (value if carrier.relative else 1.0) / slope if abs(slope) > 1e-30 else 0.0
 
 
 def candidates(course: Course, hz: tuple[float, float] = (3.0, 25.0)) -> Candidates:
@@ -119,35 +78,3 @@ def candidates(course: Course, hz: tuple[float, float] = (3.0, 25.0)) -> Candida
         grids["phase_bump"] = [{"phase": float(phase), "width": 0.02} for phase in np.arange(0.0, 1.0, 0.03)]
     grids["time_sine"] = [{"hz": float(f)} for f in np.arange(hz[0], hz[1], 0.5 / length)]
     return Candidates(grids)
-
-
-class Modulated(NamedTuple):
-    """Course of one trial on its simulation grid, averaged over the bins of the data; `end_n`: the model's END tension.
-    """
-
-    course: Course
-    end_n: Array
-    trial: Recording
-
-    def of(self, carrier: str) -> Course:
-        """Return the course with the tension that a carrier feels: END's if it is a constant of END."""
-        return self.course._replace(tension_n=self.end_n) if carrier.startswith("end_") else self.course
-
-    def bins(self, carrier: str, name: str, parameters: Mapping[str, float]) -> list[Array]:
-        """Return the components of a modulation, low-passed and averaged over bins as the data, each of shape (bins,).
-        """
-        low = butter(2, self.trial.lowpass_hz, fs=1.0 / GRID_S, output="sos")
-        return [self.trial.binned(np.asarray(sosfiltfilt(low, part)))
-                for part in MODULATIONS[name].function(self.of(carrier), parameters)]
-
-
-def modulated(model: ForwardModel, q: Array, trial: Recording, phase: Array | None) -> Modulated:
-    """Return the signals of a trial that modulations depend on; the tensions are the model's at coordinates `q`.
-
-    `phase`: gait phase of each bin, 0 … 1, or None; held within a bin.
-    """
-    time = np.asarray(GRID_S * np.arange(trial.time_s.size))
-    whole = None if phase is None else np.asarray(
-        np.interp(time, trial.binned(time), np.unwrap(2.0 * np.pi * phase)) / (2.0 * np.pi) % 1.0)
-    position, speed, start, end, joint = model.course(q, trial)
-    return Modulated(Course(time, position, speed, start, joint, whole), end, trial)

@@ -25,9 +25,9 @@ from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.held_out import HeldOut, blocks_of
 from diagnosis.laws.law_findings import discover
 from diagnosis.laws.law_search import LawSearch
-from diagnosis.laws.library import PATH_CARRIERS
 from estimation.data.table import Table, table
 from estimation.posterior import begun, mode, screened
+from physics.effects.carriers import PATH_CARRIERS
 from physics.effects.hypotheses import HYPOTHESES, SENSOR
 from physics.laws import Array
 from tests.hidden import truths
@@ -136,7 +136,7 @@ def row(kind: str, asked: Question) -> dict[str, Any]:
             return float(np.sqrt(np.mean([(getattr(errors[n], f"rmse_{which}") / noise[n]) ** 2 for n in noise])))
 
         own = ""
-        search = LawSearch(observed, reference.prior_of(observed), reference, blocks_of(tables, observed.trials), None)
+        search = LawSearch(observed, reference.prior_of(observed), reference, blocks_of(tables, observed.trials))
         if asked.effects:
             own = f"{weighed(_own(search, tables, asked.effects[0]), 'after'):.4g}"
         elif name not in ADDED and made.clean.any():
@@ -179,7 +179,7 @@ def discover_none(finder: EvidenceFinder, given: Table) -> Mapping[str, Figures]
     """Return the held-out errors with the session adapted alone."""
     reference, observed, tables = finder.observed([given])
     blocks = blocks_of(tables, observed.trials)
-    search = LawSearch(observed, reference.prior_of(observed), reference, blocks, None)
+    search = LawSearch(observed, reference.prior_of(observed), reference, blocks)
     return HeldOut(observed, reference.missed(observed), search.held_out(), None, blocks).figures(reference)
 
 

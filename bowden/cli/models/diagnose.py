@@ -46,6 +46,8 @@ Planned = Annotated[str | None, typer.Option(
     "would show.")]
 Terms = Annotated[bool, typer.Option(
     "--terms", help="If effects do not explain the whole trial, search terms, too, as bowden discover.")]
+Effects = Annotated[list[Path] | None, typer.Option(
+    metavar="FILE", help="Effects of your own, TOML, beside those of the catalogue; repeatable.")]
 Noise = Annotated[float | None, typer.Option(metavar="N", help="With --plan: noise of both tension sensors, 1σ.")]
 
 READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
@@ -68,6 +70,7 @@ def diagnose(
     report: Report = None,
     figures: Figures = None,
     terms: Terms = False,
+    effects: Effects = None,
     tracked: Tracked = None,
     each: Each = False,
     workers: Workers = None,
@@ -90,15 +93,17 @@ def diagnose(
     """
     from bowden import output_files
     from bowden.trials import force_paths
+    from physics.effects import own_effects
 
     asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
     given = {"--logbook": logbook, "TRIAL": trials, "-o": output, "--report": report, "--figures": figures,
-             "--terms": terms, "--lowpass": lowpass, "--holdout": holdout, "--tracked": tracked, "--each": each,
-             "--workers": workers, "--scheduler": scheduler, "--path": path}
+             "--terms": terms, "--effects": effects, "--lowpass": lowpass, "--holdout": holdout, "--tracked": tracked,
+             "--each": each, "--workers": workers, "--scheduler": scheduler, "--path": path}
     if plan is not None:
         _leave_out(given, given, "--plan is before any trial")
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [], json)
     chosen = _trials(trials, asked, given)
+    own_effects.read_each(effects or [])
     if each:
         return _each(chosen, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers), json)
     output_files.refuse([output, report], overwrite=overwrite, inputs=[
@@ -174,7 +179,8 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
         raise NothingGivenError("TRIAL... | --plan EXPERIMENT",
                                 "diagnose: no trial given; name at least one, or an experiment with --plan.")
     if given["--each"]:
-        _leave_out(given, ("-o", "--report", "--figures", "--tracked", "--logbook", "--path"),
+        _leave_out(given, ("-o", "--report", "--figures", "--terms", "--effects", "--tracked", "--logbook",
+                             "--path"),
                    "--each gives a verdict for every trial and writes none")
     for option in ("--workers", "--scheduler"):
         if given[option] and not given["--each"]:

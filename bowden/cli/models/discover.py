@@ -24,6 +24,9 @@ Extended = Annotated[Path | None, typer.Option(
 Picture = Annotated[Path | None, typer.Option(
     metavar="FILE", help="Residual against the variable of each term, PNG, SVG or PDF.")]
 
+Promoted = Annotated[Path | None, typer.Option(
+    "--promote", metavar="FILE", help="The terms as effects of your own, TOML, for bowden diagnose --effects.")]
+
 
 @app.command()
 def discover(
@@ -33,6 +36,7 @@ def discover(
     lowpass: Lowpass = None,
     output: Extended = None,
     picture: Picture = None,
+    promote: Promoted = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
@@ -48,18 +52,21 @@ def discover(
     if not trials or not healthy:
         raise NothingGivenError("TRIAL… --healthy TRIAL",
                                 "bowden discover: give a trial, and with --healthy one in the reference condition.")
-    output_files.refuse([output, picture], overwrite=overwrite, inputs=[*trials, *healthy])
+    output_files.refuse([output, picture, promote], overwrite=overwrite, inputs=[*trials, *healthy])
     output_files.refuse_ending(output, ".toml", what="a law")
+    output_files.refuse_ending(promote, ".toml", what="an effect")
     output_files.refuse_ending(picture, ".png", ".svg", ".pdf", what="a picture")
     with terminal.waiting("fitting the reference trials, then the terms", shown=not json):
         found = discovering.discover(trials, healthy, lowpass_hz=lowpass, path=path)
-    written = _write(found, output, picture)
+    written = _write(found, output, picture, promote)
     terminal.emit(found.as_json()) if json else _tell(found, written)
     return 0
 
 
-def _write(found: Discovered, output: Path | None, picture: Path | None) -> list[Path]:
+def _write(found: Discovered, output: Path | None, picture: Path | None, promote: Path | None) -> list[Path]:
     """Write the requested files; without a law nothing is written."""
+    from physics.effects import own_effects
+
     if not found.terms:
         return []
     if output is not None:
@@ -68,7 +75,9 @@ def _write(found: Discovered, output: Path | None, picture: Path | None) -> list
         from bowden.pages import law_picture
 
         law_picture.draw(found.laws, picture)
-    return [path for path in (output, picture) if path is not None]
+    if promote is not None:
+        write_whole(promote, own_effects.promoted(found.terms), overwrite=True)
+    return [path for path in (output, picture, promote) if path is not None]
 
 
 def _tell(found: Discovered, written: list[Path]) -> None:

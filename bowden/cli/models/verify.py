@@ -63,24 +63,26 @@ def verify(
     figures = {name: session.perform(prepared[name], path, overwrite=overwrite, progress=progress,
                                      announce="" if terminal.quiet() else f"{name}, bench on {chosen.told}.")
                for name, path in files.items()}
-    result = _compared(model, prepared["after"].experiment.known, figures)
+    result = _compared(model, prepared["after"].experiment, figures)
     return CommandAnswer(result, lambda: _tell(result, figures),
                   max(ending.status_of(one["outcome"], one["stop_reason"]) for one in figures.values()))
 
 
-def _compared(model: Path, known: Any, figures: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def _compared(model: Path, extended: Any, figures: dict[str, dict[str, Any]]) -> dict[str, Any]:
     from bowden.trials.experiment import gained
 
     judged, gain = gained(figures["before"], figures["after"])
-    return {"controller_model": str(model), "effects": {name: dict(values) for name, values in known.items()},
+    return {"controller_model": str(model), "effects": {name: dict(values) for name, values in extended.known.items()},
+            "terms": [term.equation for term in extended.terms],
             "judged_by": judged, "gain_percent": gain, **figures}
 
 
 def _tell(result: dict[str, Any], figures: dict[str, dict[str, Any]]) -> None:
     figure, true = terminal.number, result["judged_by"].startswith("true_")
+    changes = ", ".join([*result["effects"], *result["terms"]]) or "no effect"
     terminal.table(
-        f"{', '.join(result['effects']) or 'no effect'}: END {'true' if true else 'by its sensor'}, controller "
-        f"{figures['after']['controller']}", ("END", "not told", "told"), [
+        f"{changes}: END {'true' if true else 'by its sensor'}, controller {figures['after']['controller']}",
+        ("END", "not told", "told"), [
             (text, *(figure(figures[name][f"true_{key}" if true else key]) for name in ("before", "after")))
             for text, key in FIGURES])
     print(f"Gain in relative RMSE: {figure(result['gain_percent'], 1)} %")

@@ -1,0 +1,169 @@
+"""Forward model with the effects of a user's own beside those of the catalogue.
+
+    y = f(q) + Σ a·∂f/∂q_carrier·m(t; p).
+
+The size a and the nonlinear parameters p of each own effect are further constants, fixed at a = 0 in the reference
+condition, so that an own effect is a hypothesis like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from estimation.data.table import Table
+from estimation.forward_model import ForwardModel
+from estimation.likelihood_data import Recording
+from estimation.modulated_recording import modulated
+from estimation.path_model import PathModel
+from physics.constant_table import ConstantTable, ModelConstant
+from physics.effects import own_effects
+from physics.effects.carriers import PATH_CARRIERS, in_units, needed
+from physics.effects.effect import EffectParameter
+from physics.effects.hypotheses import Direction, Hypothesis, Variant
+from physics.effects.own_effects import OwnEffect
+from physics.laws import Array
+
+
+def with_own_effects(model: ForwardModel) -> ForwardModel:
+    """Return the bench's model with all effects of files and installed packages; any other model as it is."""
+    own_effects.installed()
+    return OwnEffectsModel(model, list(own_effects.OWN.values())) if own_effects.OWN and isinstance(
+        model, PathModel) else model
+
+
+class OwnEffectsModel(ForwardModel):
+    """The model `base` with the effects `own`; their constants follow those of `base`."""
+
+    def __init__(self, base: ForwardModel, own: Sequence[OwnEffect]) -> None:
+        for name in ForwardModel.__annotations__:
+            setattr(self, name, getattr(base, name))
+        self.base, self.own, self._count = base, {each.effect.name: each for each in own}, len(base.constants)
+        parameters = [(f"{each.effect.name}.{p.name}", p) for each in own for p in each.effect.parameters]
+        self.constants = ConstantTable(
+            [*base.constants.rows, *(ModelConstant(name, p.unit, _middle(p), "linear", 0.0, 0.0, p.text,
+                                                   step=0.02 * _sd(p)) for name, p in parameters)],
+            {**base.constants.bounds, **{name: (p.low, p.high) for name, p in parameters}})
+        self.hypotheses = {**base.hypotheses, **{name: _hypothesis(each) for name, each in self.own.items()}}
+        self.amounts = {**base.amounts, **{
+            f"{each.effect.name}.{name}": (f"{each.effect.name}.size", _sd(each.effect.parameters[0]))
+            for each in own for name in each.shape}}
+
+    def lacking(self, table: Table) -> list[str]:
+        """Return the needed columns that a trial does not have."""
+        return self.base.lacking(table)
+
+    def limits(self, effect: str, parameter: str) -> tuple[float, float, str]:
+        """Return the bounds and the unit of an effect's parameter."""
+        return self.base.limits(effect, parameter)
+
+    def record(self, table: Table) -> Any:
+        """Return a trial as a recording of the base model."""
+        return self.base.record(table)
+
+    def predict(self, q: Array, trial: Any) -> Array:
+        """Return the predicted data of each column of coordinates `q`, shape (sets, data)."""
+        plain = self.base.predict(q[:self._count], trial)
+        for name, each in self.own.items():
+            sizes = np.stack([self._value(q, f"{name}.{size}") for size in each.sizes])
+            acting = np.flatnonzero(np.any(sizes != 0.0, axis=0))
+            if acting.size:
+                shape = {key: self._value(q, f"{name}.{key}")[acting] for key in each.shape}
+                plain = plain.copy() if plain.base is not None else plain
+                plain[acting] += self._added(each, q[:self._count, acting], sizes[:, acting], shape, trial)
+        return plain
+
+    def _value(self, q: Array, name: str) -> Array:
+        i = self.constants.index[name]
+        low, high = self.constants.bounds[name]
+        return np.asarray(np.clip(self.constants.rows[i].middle + q[i], low, high))
+
+    def _added(self, own: OwnEffect, q: Array, sizes: Array, shape: Mapping[str, Array], trial: Recording) -> Array:
+        """Return the change of the data by one own effect, shape (sets, data); the course is that of the first set."""
+        table, row = self.base.constants, self.base.constants.index[own.carrier]
+        ahead = q.copy()
+        ahead[row] += table.step[row]
+        both = self.base.predict(np.concatenate([q, ahead], axis=1), trial)
+        units = np.array([in_units(table, column, own.carrier, PATH_CARRIERS[own.carrier]) for column in q.T])
+        slopes = (both[q.shape[1]:] - both[:q.shape[1]]) / table.step[row] * units[:, None]
+        course, function = modulated(self.base, q[:, 0], trial), own.function
+        if function.depends != "nothing" and getattr(course.course, function.depends) is None:
+            return np.zeros_like(slopes)  # a trial without the signal does not show the effect
+        known: dict[tuple[float, ...], Array] = {}
+        out = np.empty_like(slopes)
+        for k in range(q.shape[1]):
+            parameters = {key: float(values[k]) for key, values in shape.items()}
+            key = tuple(parameters.values())
+            if key not in known:
+                known[key] = np.tile(np.stack(course.bins(own.carrier, function, parameters)), len(trial.outputs))
+            out[k] = slopes[k] * (sizes[:, k] @ known[key])
+        return out
+
+    def simulated_states(self, q: Array, trial: Any) -> Array:
+        """Return the states that the discrepancy depends on, without own effects."""
+        return self.base.simulated_states(q[:self._count], trial)
+
+    def course(self, q: Array, trial: Any) -> tuple[Array, Array, Array, Array, Array | None]:
+        """Return position, speed, loads and joint angle on the time grid."""
+        return self.base.course(q[:self._count], trial)
+
+    def motion(self, trial: Any) -> Array:
+        """Return the signals whose range in the reference trials a trial should not exceed."""
+        return self.base.motion(trial)
+
+    def origin(self, trial: Any) -> Array:
+        """Return start coordinates of the first fit; own effects are absent."""
+        return self._longer(self.base.origin(trial))
+
+    def scanned(self, middle: Array, trial: Any) -> list[Array]:
+        """Return start coordinates of the first fit about `middle`."""
+        return [self._longer(q) for q in self.base.scanned(middle[:self._count], trial)]
+
+    def _longer(self, q: Array) -> Array:
+        return np.concatenate([q, np.zeros(len(self.constants) - self._count)])
+
+    def session_at(self, q: Array) -> Array:
+        """Return 1σ between sessions of each constant; 0 of own effects."""
+        return self._longer(self.base.session_at(q[:self._count]))
+
+    def growth(self, trial: Any, name: str, signal: Array) -> float:
+        """Return the factor on the model error's variance, as the base model."""
+        return self.base.growth(trial, name, signal)
+
+    def changing(self, trial: Any, name: str, signal: Array) -> float:
+        """Return the variance of the changing part of an output, as the base model."""
+        return self.base.changing(trial, name, signal)
+
+    def unpredicted(self, q: Array, trial: Any, name: str) -> Array | float:
+        """Return the variance of an output's data that no constant predicts."""
+        return self.base.unpredicted(q[:self._count], trial, name)
+
+    def errors(self, trial: Any, residual: Array) -> dict[str, Array]:
+        """Return the error of each output signal that corresponds to a residual of the data."""
+        return self.base.errors(trial, residual)
+
+    def weighed(self, trial: Any, errors: Mapping[str, Array]) -> Array:
+        """Return the error of the data that corresponds to errors of the output signals."""
+        return self.base.weighed(trial, errors)
+
+
+def _middle(p: EffectParameter) -> float:
+    return sum(p.likely) / 2.0 if p.neutral is None else p.neutral
+
+
+def _sd(p: EffectParameter) -> float:
+    """Return the prior 1σ of a parameter: half of its likely range, of a size the larger end of it."""
+    return (p.likely[1] - p.likely[0]) / 2.0 if p.neutral is None else max(map(abs, p.likely))
+
+
+def _hypothesis(own: OwnEffect) -> Hypothesis:
+    name = own.effect.name
+    variant = Variant(tuple(Direction({f"{name}.{p.name}": 1.0}, _sd(p)) for p in own.effect.parameters), {})
+
+    def read(key: str) -> Any:
+        return lambda values, bench: values[f"{name}.{key}"]
+
+    return Hypothesis(PATH_CARRIERS[own.carrier].part, lambda values: (variant,),
+                      {p.name: read(p.name) for p in own.effect.parameters}, needed(own.carrier))
