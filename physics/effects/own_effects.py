@@ -1,8 +1,8 @@
 """Effects of a user's own: files that declare a modulated constant of the bench with bounds and words.
 
-`docs/laws.md` has an example.  The constant changes by size·expression, relative to it or in its unit (`physics.effects.carriers`).  In place of
-`expression` a `modulation` of `physics.terms` may stand, which the simulated bench follows, too.  Such an effect is in
-the catalogue like a packaged one; a diagnosis that names it writes a term.
+The constant changes by size·expression, relative to it or in its unit (`physics.effects.carriers`); `docs/laws.md` has
+an example.  In place of `expression` a `modulation` of `physics.terms` may stand, which the simulated bench follows,
+too.  Such an effect is in the catalogue like a packaged one; a diagnosis that names it writes a term.
 """
 
 from __future__ import annotations
