@@ -36,10 +36,10 @@ def section(page: Page, before: str | Path, after: str | Path, colours: tuple[st
                              f"{before}; give two trials of bowden verify.")
     found = [_figures(trial) for trial in trials]
     page.section("Closed loop")
-    page.text(f"The controller {trials[0].metadata.get('controller', '')}, not told and told of "
-              f"{trials[1].metadata.get('controller_model', 'nothing')}: END by its sensor against what was desired.",
+    page.text(f"The controller {trials[0].metadata.get('controller', '')}, without and with "
+              f"{trials[1].metadata.get('controller_model', 'nothing')}: END by its sensor less the desired force.",
               "note")
-    page.table(("figure", "unit", "not told", "told"), [
+    page.table(("figure", "unit", "uncompensated", "compensated"), [
         (words, unit, found[0][name], found[1][name]) for name, words, unit in FIGURES])
     _error(page, trials, colours)
 
@@ -54,7 +54,7 @@ def _figures(trial: Trial) -> dict[str, float | None]:
 
 def _error(page: Page, trials: list[Trial], colours: tuple[str, str]) -> None:
     series = []
-    for label, trial, colour in zip(("not told", "told"), trials, colours, strict=True):
+    for label, trial, colour in zip(("uncompensated", "compensated"), trials, colours, strict=True):
         centres, mean, spread = _by_phase(trial)
         series += [Series(label, mean - spread, colour, high=mean + spread, width=0.3),
                    Series(label, mean, colour, width=1.8)]

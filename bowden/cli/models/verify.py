@@ -82,7 +82,7 @@ def _tell(result: dict[str, Any], figures: dict[str, dict[str, Any]]) -> None:
     changes = ", ".join([*result["effects"], *result["terms"]]) or "no effect"
     terminal.table(
         f"{changes}: END {'true' if true else 'by its sensor'}, controller {figures['after']['controller']}",
-        ("END", "not told", "told"), [
+        ("END", "uncompensated", "compensated"), [
             (text, *(figure(figures[name][f"true_{key}" if true else key]) for name in ("before", "after")))
             for text, key in FIGURES])
     print(f"Gain in relative RMSE: {figure(result['gain_percent'], 1)} %")
