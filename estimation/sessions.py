@@ -81,7 +81,8 @@ class SessionSequence:
         """Store the sessions; `scatter_sessions`: weight of the published scatter between sessions, in sessions.
 
         If it is too small, an enlarged scatter explains a change; if it is too large, benches that scatter more than
-        published alarm.
+        published alarm.  With 30, a bench that scatters twice as much reaches 8.6 nats without a change (of four, 12
+        drawn sessions each), with 10 it reaches 4.5, and 30 % of friction has 3 nats less.
         """
         self.scatter_sessions = scatter_sessions
         self.fit, self.columns, self.resets, self.references = fit, columns, tuple(resets), references
