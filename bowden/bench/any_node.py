@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eds.cia301 import Abort
-from eds.dictionary import PACKAGED, Dictionary, packaged, read
+from eds.dictionary import Dictionary, read
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
 from master.node_access import lss_master, node_scan
@@ -64,8 +64,7 @@ def dictionary_of(link: Link, node_id: int, eds: Path | None) -> Dictionary | No
         identity = access.NodeAccess(link, node_id).identity()
     except SdoError as error:
         raise InputError(f"{error}; {advice(error)}.") from None
-    files = [packaged(name) for name in PACKAGED] if eds is None else node_scan.files_of(eds)
-    found = node_scan.fitting(identity, files, node_id)
+    found = node_scan.fitting(identity, node_scan.files_of(eds), node_id)
     if found is None and eds is not None:
         raise InputError(f"{eds}: no EDS in it fits node {node_id} (vendor 0x{identity.get('vendor', 0):08X}, product "
                          f"0x{identity.get('product', 0):08X}); add the device's file or name it.")

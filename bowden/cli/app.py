@@ -12,6 +12,7 @@ from typing import Annotated, Final, TextIO
 import typer
 import typer.exceptions
 
+from bowden.cli import ending
 from bowden.cli.command import CommandGroup, NothingGivenError, found, short_help
 from parameters import InputError, Remark
 
@@ -69,8 +70,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; messages are one sentence on stderr, never a box or a traceback."""
-    from bowden.cli import ending
-
     load()
     ending.quiet_libraries()
     warnings.showwarning = _remark

@@ -82,11 +82,11 @@ class CommandGroup(typer.Typer):
         super().__init__(**{"cls": Group, **given})
 
     def command(self, name: str | None = None, **given: Any) -> Callable[[Registered], Registered]:
-        """Register a command; its option groups are spelt out, and an `CommandAnswer` that it returns is printed."""
+        """Register a command; its option groups are spelt out, and the answer that it returns is printed."""
         register = super().command(name, **{"cls": ShortHelpCommand, **given})
 
         def registered(function: Registered) -> Registered:
-            register(grouped(function) if function.__annotations__.get("return") == "CommandAnswer" else function)
+            register(grouped(function))
             return function
 
         return registered

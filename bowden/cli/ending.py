@@ -6,9 +6,11 @@ status is 128 and the signal's number.
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -44,6 +46,12 @@ def interrupted() -> Iterator[Callable[[], bool]]:
         yield lambda: bool(came)
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def after(seconds: float | None) -> Callable[[], bool]:
+    """Return a function that returns whether so many seconds have passed since now; never without a number."""
+    deadline = math.inf if seconds is None else time.monotonic() + seconds
+    return lambda: time.monotonic() >= deadline
 
 
 @contextmanager

@@ -7,10 +7,11 @@ groups out for the command line and gathers them again.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
 
 from bowden.cli import options
 from bowden.cli.terminal import CommandAnswer, answered
@@ -19,6 +20,7 @@ from parameters import InputError
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
     from bowden.watch.file_watch import WatchedBench
+    from master.network.link import Link
 
 
 class WalkOptions(NamedTuple):
@@ -110,33 +112,44 @@ def watched_bench(healthy: Sequence[Path] | None, logbook: Path | None, stop_on:
 
 
 class Bus(NamedTuple):
-    """The bus that the bench is on; the virtual one where no interface is named."""
+    """The bus that the bench is on, the virtual one where no interface is named; and the bench's declaration."""
 
     interface: options.Interface = None
     channel: options.Channel = None
     bitrate: options.Bitrate = None
     option: options.Extra = None
     raise_limits: options.RaiseLimits = None
+    config: options.Config = None
 
-    def sections(self, config: Path | None, rate: int | None = None) -> dict[str, Any]:
-        """Return the checked sections of the configuration in `config`, the network overridden by the given options."""
+    def sections(self, rate: int | None = None) -> dict[str, Any]:
+        """Return the checked sections of the configuration, the network overridden by the given options."""
         from bowden.bench import configuration, safety_table
 
-        sections = configuration.read(config)
+        sections = configuration.read(self.config)
         sections["network"] = configuration.override(
             sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", self.bitrate)})
         sections["limits"] = configuration.override(
             sections["limits"], {"raised": ("--raise-limits", self.raise_limits)})
-        configuration.refuse_raised(sections["limits"], str(config))
-        safety_table.refuse_unheld(sections, str(config))
+        configuration.refuse_raised(sections["limits"], str(self.config))
+        safety_table.refuse_unheld(sections, str(self.config))
         return sections
 
-    def configured(self, config: Path | None) -> BusSettings:
+    def network(self) -> Any:
+        """Return the network of the configuration, overridden by the given options."""
+        return self.sections()["network"]
+
+    def linked(self) -> AbstractContextManager[Link]:
+        """Open the bus, a simulated one as the configuration declares it, and a link that sends no heartbeat."""
+        from bowden.bench.any_node import linked
+
+        return linked(self.configured(), self.network().bitrate)
+
+    def configured(self) -> BusSettings:
         """Return the bus to open; a simulated bench is the one that the configuration declares."""
         from bowden.bench.buses import rated
 
-        network = self.sections(config)["network"]
-        return rated(self.chosen(), int(network.bitrate), network)
+        network = self.network()
+        return rated(self.chosen(), network.bitrate, network)
 
     def chosen(self, simulated: SimulatedOptions | None = None, *, always_simulated: bool = False) -> BusSettings:
         """Return the bus to open; raises `InputError` for contradictory options.
@@ -166,8 +179,6 @@ class Bus(NamedTuple):
 
 def _option(text: str) -> tuple[str, Any]:
     """Return key and value of an interface's option: a number, true or false, else text."""
-    from parameters import InputError
-
     key, equals, value = text.partition("=")
     if not equals or not key:
         raise InputError(f"--option {text}: expected KEY=VALUE; write for instance --option fd=true.")
@@ -179,39 +190,41 @@ def _option(text: str) -> tuple[str, Any]:
     return key, {"true": True, "false": False}.get(value.lower(), value)
 
 
-def grouped(command: Callable[..., Any]) -> Callable[..., int]:
-    """Replace each option group in a command's signature by the group's options.
+BusAlone = Annotated[Bus, "interface", "channel", "bitrate", "option"]
+"""The bus without a bench's declaration: its named options alone."""
 
-    A command that returns an `CommandAnswer` has the option --json besides, and the answer is printed.
+
+def grouped(command: Callable[..., CommandAnswer | int]) -> Callable[..., int]:
+    """Replace each option group in a command's signature by the group's options, add --json, and print the answer.
+
+    An annotated group has the options that the annotation names, others all.
     """
     hints = get_type_hints(command, include_extras=True)
-    answers = hints.pop("return", int) is CommandAnswer
-    groups = {name: kind for name, kind in hints.items() if hasattr(kind, "_field_defaults")}
+    del hints["return"]
+    groups = {name: (kind, getattr(kind, "__metadata__", kind._fields)) for name, kind in hints.items()
+              if hasattr(kind, "_field_defaults")}
     spelt: list[inspect.Parameter] = []
     for parameter in inspect.signature(command).parameters.values():
         if parameter.name in groups:
-            spelt += _options(groups[parameter.name])
+            kind, fields = groups[parameter.name]
+            offered = get_type_hints(getattr(kind, "__origin__", kind), include_extras=True)
+            spelt += [_option_of(field, kind._field_defaults[field], offered[field]) for field in fields]
         else:
-            spelt.append(parameter.replace(annotation=hints[parameter.name], kind=inspect.Parameter.KEYWORD_ONLY))
-    if answers:
-        spelt.append(inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=options.Json))
+            spelt.append(_option_of(parameter.name, parameter.default, hints[parameter.name]))
+    spelt.append(_option_of("json", False, options.Json))
 
     @wraps(command)
     def gathered(**given: Any) -> int:
-        json = given.pop("json") if answers else False
-        made = {name: kind(**{field: given.pop(field) for field in kind._fields}) for name, kind in groups.items()}
-        return answered(lambda: command(**given, **made), json=json) if answers else command(**given, **made)
+        json = given.pop("json")
+        made = {name: getattr(kind, "__origin__", kind)(**{field: given.pop(field) for field in fields})
+                for name, (kind, fields) in groups.items()}
+        return answered(lambda: command(**given, **made), json=json)
 
-    _spell(gathered, {parameter.name: parameter.annotation for parameter in spelt}, inspect.Signature(spelt))
+    # the command line reads a command's options from its annotations and its signature
+    gathered.__annotations__ = {parameter.name: parameter.annotation for parameter in spelt}
+    gathered.__signature__ = inspect.Signature(spelt)  # type: ignore[attr-defined]
     return gathered
 
 
-def _options(group: Any) -> list[inspect.Parameter]:
-    hints = get_type_hints(group, include_extras=True)
-    return [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=group._field_defaults[name],
-                              annotation=hints[name]) for name in group._fields]
-
-
-def _spell(function: Any, annotations: Mapping[str, Any], signature: inspect.Signature) -> None:
-    """Set the annotations and signature from which a command line reads a command's options."""
-    function.__annotations__, function.__signature__ = dict(annotations), signature
+def _option_of(name: str, default: Any, annotation: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from parameters import InputError
 from physics.effects.separating_experiments import SCRIPTED
 
 
@@ -50,7 +51,6 @@ def serials(incomplete: str) -> list[str]:
 def declared_paths(incomplete: str) -> list[str]:
     """Return the force paths of ./bench.toml that begin as typed; none without a declaration that can be read."""
     from bowden.bench import configuration
-    from parameters import InputError
 
     try:
         bench = configuration.read(Path("bench.toml"), any_shape=True)["network"].bench
@@ -61,7 +61,7 @@ def declared_paths(incomplete: str) -> list[str]:
 
 Output = Annotated[Path, _file("File to write.", "-o", "--output")]
 Overwrite = Annotated[bool, _given("Replace an existing output file.", "--overwrite")]
-Json = Annotated[bool, _given("One JSON object on stdout, nothing else.", "--json")]
+Json = Annotated[bool, _given("JSON on stdout, nothing else.", "--json")]
 Config = Annotated[Path | None, _file("bench.toml; bowden init writes one.", "--config")]
 Picture = Annotated[Path | None, _file("Draw desired, START and END force (png, svg, pdf).")]
 
@@ -121,6 +121,11 @@ Interface = Annotated[str | None, _given(
     "python-can interface of a real bus (default: the virtual bus).", metavar="NAME")]
 Channel = Annotated[str | None, _given("Channel of that interface, such as can0.", metavar="NAME")]
 Bitrate = Annotated[int | None, _given("bit/s; default from [network].", metavar="BIT/S")]
+AnyInterface = Annotated[str, _given(
+    "python-can interface, such as socketcan, udp_multicast or virtual.", metavar="NAME")]
+Seconds = Annotated[float | None, _given("End after so many seconds.", "--for", metavar="S")]
+Lowpass = Annotated[float | None, _given("Zero-phase low-pass on every signal.", metavar="HZ")]
+Trial = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
 RaiseLimits = Annotated[str | None, _given(
     "Run with limits above the packaged ones; the trial records the reason.", "--raise-limits", metavar="REASON")]
 HomingForce = Annotated[float | None, _given(

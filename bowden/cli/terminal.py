@@ -25,14 +25,22 @@ class CommandAnswer(NamedTuple):
 _QUIET: ContextVar[bool] = ContextVar("_QUIET", default=False)
 
 
-def answered(command: Callable[[], CommandAnswer], *, json: bool) -> int:
-    """Run a command, print its answer as JSON or in words, and return the exit status; with `json` no progress."""
+def answered(command: Callable[[], CommandAnswer | int], *, json: bool) -> int:
+    """Run a command, print its answer as JSON or in words, and return the exit status; with `json` no progress.
+
+    A command that printed its lines as they came returns the exit status alone.
+    """
     before = _QUIET.set(json)
     try:
         answer = command()
+        return answer if isinstance(answer, int) else show(answer)
     finally:
         _QUIET.reset(before)
-    if json:
+
+
+def show(answer: CommandAnswer) -> int:
+    """Print an answer as JSON or in words, and return its exit status."""
+    if quiet():
         emit(answer.result)
     elif callable(answer.words):
         answer.words()
@@ -42,7 +50,7 @@ def answered(command: Callable[[], CommandAnswer], *, json: bool) -> int:
 
 
 def quiet() -> bool:
-    """Return whether the command prints one JSON object and nothing else."""
+    """Return whether the command prints JSON and nothing else."""
     return _QUIET.get()
 
 
@@ -108,31 +116,24 @@ class Terminal:
 
 
 @contextmanager
-def progress(text: str, *, shown: bool = True) -> Iterator[Callable[[float], None]]:
-    """Show a bar on stderr and yield a function of the share done, 0…1; silent unless `shown` and stderr is a
-    terminal."""
-    if _QUIET.get() or not (shown and sys.stderr.isatty()):
-        yield lambda share: None
+def progress(text: str, *, shown: bool = True, total: float | None = 1.0) -> Iterator[Callable[..., None]]:
+    """Show a bar on stderr, without `total` a spinner; yields a function of the share done, 0…1, and the present step.
+
+    Silent unless `shown` and stderr is a terminal.
+    """
+    if quiet() or not (shown and sys.stderr.isatty()):
+        yield lambda share, step="": None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(text, total=1.0)
-        yield lambda share: bar.update(task, completed=share)
+    bar = (BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn()) if total else ()
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), *bar, TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as drawn:
+        task = drawn.add_task(text, total=total)
+        yield lambda share, step="": drawn.update(task, completed=share, description=step or text)
 
 
-@contextmanager
-def waiting(text: str, *, shown: bool = True) -> Iterator[None]:
-    """Show a spinner with the elapsed time on stderr; silent unless `shown` and stderr is a terminal."""
-    if _QUIET.get() or not (shown and sys.stderr.isatty()):
-        yield
-        return
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        bar.add_task(text, total=None)
-        yield
+def waiting(text: str, *, shown: bool = True) -> AbstractContextManager[Any]:
+    """Return a spinner on stderr with the elapsed time."""
+    return progress(text, shown=shown, total=None)

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from eds import dictionary
 from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE
-from eds.dictionary import Dictionary, key
+from eds.dictionary import PACKAGED, Dictionary, key, packaged
 from eds.files.notation import number
 from master.network.bus_survey import LISTEN_NS
 from master.network.link import Link
@@ -63,8 +63,13 @@ def _found(link: Link, node_id: int, answers: bool, files: Sequence[Path]) -> Fo
     return FoundNode(node_id, None if beat is None else state_name(beat.state), identity, fits)
 
 
-def files_of(path: Path) -> list[Path]:
-    """Return the EDS and DCF files of a folder, or the file itself; raises `InputError` for a folder without any."""
+def files_of(path: Path | None) -> list[Path]:
+    """Return the EDS and DCF files of a folder, the file itself, or the packaged ones where none is named.
+
+    Raises `InputError` for a folder without any.
+    """
+    if path is None:
+        return [packaged(name) for name in PACKAGED]
     if not path.is_dir():
         return [path]
     found = sorted(each for each in path.iterdir() if each.suffix.lower() in (".eds", ".dcf"))

@@ -8,35 +8,22 @@ from typing import Annotated
 
 import typer
 
-from bowden.cli import options, terminal
+from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, SimulatedOptions, grouped
-
-Interface = Annotated[str, typer.Option(
-    metavar="NAME", help="python-can interface, such as socketcan, udp_multicast or virtual.")]
-Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
-
+from bowden.cli.option_groups import Bus, SimulatedOptions
+from bowden.cli.terminal import CommandAnswer
 
 Faults = Annotated[Path | None, typer.Option(
     metavar="FILE", help="Faults of nodes: [[fault]] tables with kind, node, start_s, stop_s.")]
 
 
 @app.command()
-@grouped
 def bench(
-    interface: Interface,
-    channel: options.Channel = None,
-    rate: options.Rate = None,
-    config: options.Config = None,
-    *,
-    simulated: SimulatedOptions,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
-    faults: Faults = None,
-    monitor: options.SafetyMonitor = None,
-    seconds: Seconds = None,
-    json: options.Json = False,
-) -> int:
+    interface: options.AnyInterface, channel: options.Channel = None, rate: options.Rate = None,
+    config: options.Config = None, *, simulated: SimulatedOptions, bitrate: options.Bitrate = None,
+    option: options.Extra = None, faults: Faults = None, monitor: options.SafetyMonitor = None,
+    seconds: options.Seconds = None,
+) -> CommandAnswer | int:
     """Serve the simulated bench on a bus.
 
     The four nodes and the plant run in wall time until Ctrl-C; several masters may listen.
@@ -46,7 +33,6 @@ def bench(
     import can
 
     from bowden.bench import buses, configuration
-    from bowden.cli import ending
     from bowden.trials import session
     from master.network.host_computer import prepared
     from virtual_bus.bus import BowdenBus
@@ -56,19 +42,17 @@ def bench(
     arguments = Bus().chosen(simulated).arguments
     injected = () if faults is None else servable(faults)
     network = configuration.with_monitor(configuration.read(config)["network"], monitor)
-    session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not json))
+    session.compile_laws(simulated=True, progress=terminal.Terminal())
     with buses.opened_one(chosen, bitrate or network.bitrate) as real:
         made = {**arguments, **buses.simulating(network), "bitrate": bitrate or network.bitrate,
-                "rate_hz": rate or network.rate_hz}
+                "rate_hz": rate or network.rate_hz, "faults": injected}
         made.pop("interface")
-        made["faults"] = injected
         hidden = BowdenBus(**made)
         terminal.remark(f"the bench is on {interface} {channel or ''}; Ctrl-C ends it.")
-        deadline = None if seconds is None else time.monotonic() + seconds
+        over = ending.after(seconds)
         try:
             with prepared(), ending.interrupted() as ended:
-                served = serve(real, hidden.bench, time.monotonic_ns,
-                               lambda: ended() or (deadline is not None and time.monotonic() >= deadline),
+                served = serve(real, hidden.bench, time.monotonic_ns, lambda: ended() or over(),
                                echoes=interface == "udp_multicast")
         except can.CanOperationError as error:
             terminal.remark(f"{interface} is gone ({error}); the bench ends.")
@@ -76,5 +60,5 @@ def bench(
         finally:
             hidden.shutdown()
     result = {"received": served.received, "sent": served.sent, "lost": served.lost, "behind_ns": served.behind_ns}
-    terminal.emit(result) if json else print(", ".join(f"{name} {value}" for name, value in result.items()))
-    return ending.CTRL_C if ended() else 0
+    return CommandAnswer(result, ", ".join(f"{name} {value}" for name, value in result.items()),
+                         ending.CTRL_C if ended() else 0)

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
+from bowden import output_files
 from bowden.cli import options
-from bowden.cli.bench.node import Eds, Force, bitrate_of, node, refuse_other_master
+from bowden.cli.bench.node import Eds, Force, node, refuse_other_master
 from bowden.cli.option_groups import Bus
 from bowden.cli.terminal import CommandAnswer
 
@@ -16,19 +17,16 @@ File = Annotated[Path, typer.Argument(metavar="FILE", help="bus.yml of ros2_cano
 
 
 @node.command()
-def apply(
-    file: File, reached: Bus, force: Force = False, config: options.Config = None,
-) -> CommandAnswer:
+def apply(file: File, reached: Bus, force: Force = False) -> CommandAnswer:
     """Write the SDO list, heartbeats and PDOs of a bus.yml into its nodes.
 
     Example: bowden node export -o bus.yml && bowden node apply bus.yml
     """
-    from bowden.bench.any_node import linked
     from eds.files import bus_yml
     from master.node_access import bus_setup
 
     devices = bus_yml.read(file).devices
-    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
+    with reached.linked() as link:
         refuse_other_master(link, force)
         done = {one.name: bus_setup.apply(link, one, file.parent) for one in devices}
     return CommandAnswer(
@@ -39,8 +37,7 @@ def apply(
 
 @node.command()
 def export(
-    output: options.Output, reached: Bus, eds: Eds = None, config: options.Config = None,
-    overwrite: options.Overwrite = False,
+    output: options.Output, reached: Bus, eds: Eds = None, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Write the nodes of a bus, with their PDOs as they are set, as a bus.yml of ros2_canopen.
 
@@ -48,22 +45,18 @@ def export(
     """
     import shutil
 
-    from bowden import output_files
-    from bowden.bench.any_node import linked
-    from eds.dictionary import PACKAGED, packaged
     from eds.files import bus_yml
     from master.node_access import bus_setup, node_scan
 
     output_files.refuse([output], overwrite=overwrite)
-    files = [packaged(name) for name in PACKAGED] if eds is None else node_scan.files_of(eds)
-    rate = bitrate_of(reached, config)
-    with linked(reached.configured(config), rate) as link:
+    files = node_scan.files_of(eds)
+    with reached.linked() as link:
         devices = [bus_setup.described(link, one) for one in node_scan.scan(link, files)]
     for path in {path for path in files for one in devices if path.name == one.eds}:
         if not (output.parent / path.name).exists():
             shutil.copy(path, output.parent / path.name)
     bus_yml.write(output, bus_yml.of_devices(devices, {
         "node_id": 127, "driver": "ros2_canopen::MasterDriver", "package": "canopen_master_driver",
-        "baudrate": rate // 1000}), overwrite=overwrite)
+        "baudrate": reached.network().bitrate // 1000}), overwrite=overwrite)
     return CommandAnswer({"file": str(output), "nodes": [one.node_id for one in devices]},
-                  f"{output}: {len(devices)} nodes.", 0 if devices else 1)
+                         f"{output}: {len(devices)} nodes.", 0 if devices else 1)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bowden.cli import options, terminal
+from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, grouped
+from bowden.cli.option_groups import Bus
 from bowden.cli.terminal import CommandAnswer
+from parameters import InputError
 
 if TYPE_CHECKING:
     from master.motion.commission import Procedure
@@ -21,23 +21,17 @@ Sensor = Annotated[str, typer.Argument(metavar="SENSOR", help="start, end, or a 
                                           show_default=False)]
 Axis = Annotated[str, typer.Argument(metavar="AXIS", help="servo or knee, or a declared drive.", show_default=False)]
 By = Annotated[float, typer.Option(metavar="X", help="mm of rope (pulling > 0) or degrees of knee (flexion < 0).")]
-Speed = Annotated[float | None, typer.Option(metavar="V", help="mm/s or degrees/s at most (default 10).")]
+Speed = Annotated[float, typer.Option(
+    metavar="V", help="mm/s or degrees/s at most (default 10).", show_default=False)]
 SPEED = 10.0
 REMEDY = "free the emergency stop (STO) first, then say this again"
 
 
 @app.command()
-@grouped
 def home(
-    calibration: options.Calibration = None,
-    rate: options.Rate = None,
-    path: options.ForcePath = None,
-    homing_n: options.HomingForce = None,
-    *,
-    reached: Bus,
-    config: options.Config = None,
-    json: options.Json = False,
-) -> int:
+    calibration: options.Calibration = None, rate: options.Rate = None, path: options.ForcePath = None,
+    homing_n: options.HomingForce = None, *, reached: Bus,
+) -> CommandAnswer:
     """Find the encoder zero at the preload.
 
     The rope is left slack.
@@ -48,24 +42,17 @@ def home(
     from master.motion import commission
     from physics.calibration import nominal, read
 
-    bench = _Bench(reached, rate, config, path)
+    bench = _Bench(reached, rate, path)
     measured = nominal() if calibration is None else read(calibration)
     homing = configuration.homing(bench.sections["homing"], homing_n)
-    return bench.perform("home", commission.home(measured, homing, bench.sections["gait"].idle_slack_m), json=json,
+    return bench.perform("home", commission.home(measured, homing, bench.sections["gait"].idle_slack_m),
                          pulls=commission.home_pulls(homing))
 
 
 @app.command()
-@grouped
 def tare(
-    sensor: Sensor,
-    rate: options.Rate = None,
-    path: options.ForcePath = None,
-    *,
-    reached: Bus,
-    config: options.Config = None,
-    json: options.Json = False,
-) -> int:
+    sensor: Sensor, rate: options.Rate = None, path: options.ForcePath = None, *, reached: Bus,
+) -> CommandAnswer:
     """Zero a tension sensor.
 
     The rope must be slack, and no drive is enabled.
@@ -74,48 +61,31 @@ def tare(
     """
     from master.motion import commission
 
-    bench = _Bench(reached, rate, config, path)
-    procedure = commission.tare(bench.place(sensor))
-    return bench.perform(f"tare {sensor}", procedure, json=json)
+    bench = _Bench(reached, rate, path)
+    return bench.perform(f"tare {sensor}", commission.tare(bench.place(sensor)))
 
 
 @app.command()
-@grouped
 def jog(
-    axis: Axis,
-    by: By,
-    speed: Speed = None,
-    rate: options.Rate = None,
-    path: options.ForcePath = None,
-    *,
+    axis: Axis, by: By, speed: Speed = SPEED, rate: options.Rate = None, path: options.ForcePath = None, *,
     reached: Bus,
-    config: options.Config = None,
-    json: options.Json = False,
-) -> int:
+) -> CommandAnswer:
     """Move one axis slowly, alone; the other drive stays off.
 
     Example: bowden jog servo --by -2 --speed 5 --interface socketcan --channel can0
     """
     from master.motion import commission
 
-    bench = _Bench(reached, rate, config, path)
+    bench = _Bench(reached, rate, path)
     place = bench.place(axis)
     unit = math.radians(1.0) if place == "knee" else 1e-3
     limits = bench.limits()
-    procedure = commission.jog(place, by * unit, (SPEED if speed is None else speed) * unit, limits)
-    return bench.perform(f"jog {axis}", procedure, json=json, pulls=commission.jog_pulls(limits))
+    return bench.perform(f"jog {axis}", commission.jog(place, by * unit, speed * unit, limits),
+                         pulls=commission.jog_pulls(limits))
 
 
 @app.command()
-@grouped
-def release(
-    rate: options.Rate = None,
-    path: options.ForcePath = None,
-    *,
-    reached: Bus,
-    config: options.Config = None,
-    json: options.Json = False,
-) -> int:
+def release(rate: options.Rate = None, path: options.ForcePath = None, *, reached: Bus) -> CommandAnswer:
     """Take the tension off.
 
     The servo alone unwinds the rope until START is slack.
@@ -124,15 +94,15 @@ def release(
     """
     from master.motion import commission
 
-    bench = _Bench(reached, rate, config, path)
-    return bench.perform("release", commission.release(bench.sections["homing"], bench.limits()), json=json)
+    bench = _Bench(reached, rate, path)
+    return bench.perform("release", commission.release(bench.sections["homing"], bench.limits()))
 
 
 class _Bench:
     """The bench that the options name: its bus, its configuration and a force path."""
 
-    def __init__(self, reached: Bus, rate: int | None, config: Path | None, path: str | None) -> None:
-        self.sections = reached.sections(config, rate)
+    def __init__(self, reached: Bus, rate: int | None, path: str | None) -> None:
+        self.sections = reached.sections(rate)
         self.chosen, self.path = reached.chosen(), path
 
     def place(self, name: str) -> str:
@@ -157,34 +127,29 @@ class _Bench:
         bench = self.sections["network"].bench
         return of_path(self.sections["limits"], bench, commissioning.named(bench, self.path))
 
-    def perform(self, what: str, procedure: Procedure, *, json: bool, pulls: str = "") -> int:
-        """Run one procedure and print its result; `pulls` is the largest force that it may pull, as a sentence."""
+    def perform(self, what: str, procedure: Procedure, *, pulls: str = "") -> CommandAnswer:
+        """Run one procedure and return its result; `pulls` is the largest force that it may pull, as a sentence."""
         from bowden.trials import commissioning
 
-        if pulls and not json:
+        if pulls and not terminal.quiet():
             terminal.remark(pulls)
-        with terminal.waiting(what, shown=not json):
+        with terminal.waiting(what):
             outcome, found = commissioning.perform(self.chosen, self.sections, procedure, self.path)
         result = {"procedure": what, "outcome": "completed" if outcome.reason is None else "stopped",
                   "stop_reason": outcome.reason, "missed_cycles": outcome.missed_cycles, **found}
-        if json:
-            terminal.emit(result)
-        else:
+
+        def words() -> None:
             if found:
                 terminal.table(what, ("figure", "value"), [
                     (name, terminal.number(value, 4)) for name, value in found.items()])
             print(f"{what}, {self.chosen.told}: {result['outcome']}"
                   + (f": {outcome.reason}" if outcome.reason else "."))
-        from bowden.cli import ending
 
-        return ending.status_of(str(result["outcome"]), outcome.reason)
+        return CommandAnswer(result, words, ending.status_of(str(result["outcome"]), outcome.reason))
 
 
 @app.command()
-def acknowledge(
-    reached: Bus,
-    config: options.Config = None,
-) -> CommandAnswer:
+def acknowledge(reached: Bus) -> CommandAnswer:
     """Release drives after an emergency stop.
 
     A drive that had its emergency stop (STO) stays off until an operator releases it; nothing is enabled by this.
@@ -196,9 +161,8 @@ def acknowledge(
     from master.network.acknowledge import acknowledge as release
     from master.network.bringup import BringUpError
     from master.network.link import Link, LinkError
-    from parameters import InputError
 
-    network = reached.sections(config)["network"]
+    network = reached.network()
     with buses.opened_one(reached.chosen(), network.bitrate) as opened:
         try:
             found = release(Link(opened, buses.clock_of(opened), heartbeat_ms=None), wire(network))

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bowden.cli import options, terminal
+from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
-from bowden.cli.option_groups import Bus, grouped
+from bowden.cli.option_groups import Bus
+from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -28,20 +29,11 @@ Recorded = Annotated[Path | None, typer.Argument(metavar="TRIAL", help="A record
 Web = Annotated[str, typer.Option(
     metavar="[HOST:]PORT", help="Address of the page; port 0: a free one; 0.0.0.0: open to other computers.")]
 Speed = Annotated[float, typer.Option(metavar="X", help="Playing speed, 0.001 … 1000 times real time.")]
-Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
 
 
 @app.command()
-@grouped
 def live(
-    trial: Recorded = None,
-    *,
-    reached: Bus,
-    config: options.Config = None,
-    web: Web = "8765",
-    speed: Speed = 1.0,
-    seconds: Seconds = None,
-    json: options.Json = False,
+    trial: Recorded = None, *, reached: Bus, web: Web = "8765", speed: Speed = 1.0, seconds: options.Seconds = None,
 ) -> int:
     """Show a trial or a running bus in a browser, live.
 
@@ -52,27 +44,17 @@ def live(
     if (trial is None) == (reached.interface is None):
         raise NothingGivenError("TRIAL | --interface NAME",
                                 "bowden live shows a trial or a bus; give either a file or --interface.")
-    deadline = None if seconds is None else time.monotonic() + seconds
-
-    def ended() -> bool:
-        return deadline is not None and time.monotonic() >= deadline
-
     if trial is not None:
-        return _play(trial, config, speed, web, ended, json=json)
-    return _follow(reached, config, web, ended, json=json)
+        return _play(trial, reached, speed, web, ending.after(seconds))
+    return _follow(reached, web, ending.after(seconds))
 
 
-def _show(page: LivePage, *, json: bool) -> None:
-    if json:
-        terminal.emit({"web": page.url, "port": page.port})
-    else:
-        print(f"page: {page.url}")
+def _show(page: LivePage) -> None:
+    terminal.show(CommandAnswer({"web": page.url, "port": page.port}, f"page: {page.url}"))
     sys.stdout.flush()
 
 
-def _play(
-    path: Path, config: Path | None, speed: float, web: str, ended: Callable[[], bool], *, json: bool
-) -> int:
+def _play(path: Path, reached: Bus, speed: float, web: str, over: Callable[[], bool]) -> int:
     from bowden.bench import configuration
     from bowden.live import feeds
     from bowden.live.trial_player import TrialPlayer
@@ -84,31 +66,31 @@ def _play(
     if not SPEEDS[0] <= speed <= SPEEDS[1]:
         raise InputError(f"--speed {speed:g}: expected {SPEEDS[0]:g} … {SPEEDS[1]:g}; give another one.")
     trial = opened(path)
-    shown = feeds.state(path.name, "recorded", configuration.read(config)["network"], names(trial) or ("",))
+    shown = feeds.state(path.name, "recorded", configuration.read(reached.config)["network"], names(trial) or ("",))
     player = TrialPlayer(trial, speed, time.monotonic_ns, shown)
     with closing(LivePage(shown, web, None, feeds.RECORDED, player.request)) as page:
-        _show(page, json=json)
-        while not ended():
+        _show(page)
+        while not over():
             player.look()
             time.sleep(LOOK_S)
     return 0
 
 
-def _follow(reached: Bus, config: Path | None, web: str, ended: Callable[[], bool], *, json: bool) -> int:
+def _follow(reached: Bus, web: str, over: Callable[[], bool]) -> int:
     import can
 
     from bowden.bench import buses
     from bowden.live import feeds
     from bowden.live.web import LivePage
 
-    network = reached.sections(config)["network"]
+    network = reached.network()
     shown = feeds.state(f"{reached.interface} {reached.channel or ''}".strip(), "bus", network, decode_events=True)
     with buses.opened_one(reached.chosen(), network.bitrate) as bus, \
             closing(LivePage(shown, web, None, feeds.OTHER_PROCESS)) as page:
-        _show(page, json=json)
+        _show(page)
         feed = feeds.BusFeed(network, shown)
         try:
-            while not ended():
+            while not over():
                 message = bus.recv(LOOK_S)
                 if message is not None:
                     feed.take(message)

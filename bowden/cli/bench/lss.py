@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bowden.cli import options
 from bowden.cli.app import app
 from bowden.cli.bench.node import Force, refuse_other_master
 from bowden.cli.command import CommandGroup
 from bowden.cli.option_groups import Bus
 from bowden.cli.terminal import CommandAnswer
+from parameters import InputError
 
 if TYPE_CHECKING:
     from eds.cia305 import LssAddress
@@ -31,12 +30,12 @@ Wait = Annotated[int, typer.Option("--timeout", metavar="MS", min=1, max=10_000,
 
 
 @lss.command()
-def scan(reached: Bus, timeout: Wait = 100, config: options.Config = None) -> CommandAnswer:
+def scan(reached: Bus, timeout: Wait = 100) -> CommandAnswer:
     """Find the devices that have no node id, by fastscan.
 
     Example: bowden lss scan
     """
-    with _master(reached, config, timeout) as master:
+    with _master(reached, timeout) as master:
         found = master.scan()
     return CommandAnswer({"unconfigured": [_identity(address) for address in found], "note": master.scan_note}, [
         *(f"{address}  " + " ".join(f"{name} 0x{number:08X}" for name, number in address._asdict().items())
@@ -47,7 +46,7 @@ def scan(reached: Bus, timeout: Wait = 100, config: options.Config = None) -> Co
 def assign(
     node_id: Annotated[int, typer.Argument(metavar="NEWID", help="Node id 1 … 127.", show_default=False)],
     reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False, force: Force = False,
-    timeout: Wait = 100, config: options.Config = None,
+    timeout: Wait = 100,
 ) -> CommandAnswer:
     """Give a device a node id: the only unconfigured one, or the one of --node or --identity.
 
@@ -56,7 +55,7 @@ def assign(
     from master.node_access.lss_master import refuse_taken
     from master.node_access.remote_node import nmt
 
-    with _master(reached, config, timeout, acts=not force) as master:
+    with _master(reached, timeout, acts=not force) as master:
         refuse_taken(master.link, node_id)
         address = _choose(master, node, identity)
         before = master.node_id()
@@ -83,13 +82,13 @@ def bitrate(
     activate: Annotated[int | None, typer.Option(
         "--activate", metavar="MS", min=1, max=65_535,
         help="Switch after MS, and stay silent for MS more, instead of at the next power-on.")] = None,
-    force: Force = False, timeout: Wait = 100, config: options.Config = None,
+    force: Force = False, timeout: Wait = 100,
 ) -> CommandAnswer:
     """Give a device a bit rate, in force at its next power-on, or now by --activate.
 
     Example: bowden lss bitrate 500000 --node 2
     """
-    with _master(reached, config, timeout, acts=not force) as master:
+    with _master(reached, timeout, acts=not force) as master:
         address = _choose(master, node, identity)
         master.configure_bitrate(rate)
         if store:
@@ -105,26 +104,23 @@ def bitrate(
 @lss.command()
 def store(
     reached: Bus, node: Chosen = None, identity: Identity = None, force: Force = False, timeout: Wait = 100,
-    config: options.Config = None,
 ) -> CommandAnswer:
     """Let a device keep its node id and bit rate over a power cycle.
 
     Example: bowden lss store --node 2
     """
-    with _master(reached, config, timeout, acts=not force) as master:
+    with _master(reached, timeout, acts=not force) as master:
         address = _choose(master, node, identity)
         master.store()
     return CommandAnswer({**_identity(address), "stored": True}, f"{address}: node id and bit rate stored.")
 
 
 @contextmanager
-def _master(reached: Bus, config: Path | None, timeout_ms: int, *, acts: bool = False) -> Iterator[LssMaster]:
+def _master(reached: Bus, timeout_ms: int, *, acts: bool = False) -> Iterator[LssMaster]:
     """Return an LSS master; a refusal by the device is reported as bad input."""
-    from bowden.bench.any_node import linked
     from master.node_access.lss_master import LssMaster, LssRefusalError
-    from parameters import InputError
 
-    with linked(reached.configured(config), int(reached.sections(config)["network"].bitrate)) as link:
+    with reached.linked() as link:
         if acts:
             refuse_other_master(link, False)
         master = LssMaster(link, timeout_ms * 1_000_000)

@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, grouped
+from bowden.cli.option_groups import Bus
+from bowden.cli.terminal import CommandAnswer
+from parameters import InputError
 
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
@@ -26,7 +29,6 @@ Source = Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Trial, lo
 
 
 @app.command()
-@grouped
 def monitor(
     reached: Bus,
     source: Source = None,
@@ -39,23 +41,21 @@ def monitor(
     table: Annotated[bool, typer.Option("--table", help="Only the table of rates and load, at the end.")] = False,
     dbc: Annotated[Path | None, typer.Option("--dbc", metavar="FILE", help="Write the PDOs' layout as DBC.")] = None,
     mf4: Annotated[Path | None, typer.Option("--mf4", metavar="FILE", help="Write the PDOs' values as MF4.")] = None,
-    config: options.Config = None,
     overwrite: options.Overwrite = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object a line.")] = False,
-) -> int:
+) -> CommandAnswer | int:
     """Show each frame of a bus or of a file in words.
 
     PDO values have names and units, SDO transfers are put together, abort and EMCY codes are in words.
+    With --json one object a line.
 
     Example: bowden monitor --for 0.2 --only sdo,pdo,emcy
     """
-    from bowden import output_files
     from eds.bench.bench_network import wire
     from eds.bench.bus_load import frame_bits
     from master.node_access.frame_words import FrameReader, FrameWords, of_wire
     from master.node_access.signal_files import SignalRecording, write_dbc
 
-    network = reached.sections(config)["network"]
+    network = reached.network()
     kinds, wanted = _kinds(only), _nodes(nodes)
     reader = FrameReader(_dictionaries(eds)) if eds else of_wire(wire(network))
     output_files.refuse([dbc, mf4], overwrite=overwrite, inputs=[source])
@@ -67,7 +67,7 @@ def monitor(
     counts: Counter[int] = Counter()
     names: dict[int, str] = {}
     bits, first_ns, last_ns, lost = 0, None, 0, 0
-    chosen = None if source is not None else reached.configured(config)
+    chosen = None if source is not None else reached.configured()
     for can_id, data, time_ns, special, dropped in _frames(source, chosen, network.bitrate, seconds):
         lost = dropped
         if special == "lost":
@@ -81,20 +81,26 @@ def monitor(
         bits += frame_bits(len(data))
         if table or words.kind not in kinds or (wanted and words.node_id not in wanted):
             continue
-        if json:
+        if terminal.quiet():
             print(json_text.dumps({"time_ns": time_ns, "can_id": can_id, "data": data.hex(), **words._asdict()},
                                   ensure_ascii=False))
         else:
             node = f"{words.node_id:3}" if words.node_id else "   "
             print(f"{(time_ns - first_ns) / 1e9:12.6f}  {can_id:03X}  {node}  {words.text}")
     span_s = max((last_ns - (first_ns or 0)) / 1e9, 1e-9)
-    if table:
-        _show_table(counts, names, span_s, 100.0 * bits / span_s / network.bitrate, lost, json=json)
     if mf4 is not None:
         terminal.remark(f"{mf4}: values of {recording.write(mf4, overwrite=overwrite)} PDOs.")
     if lost:
         terminal.remark(f"{lost} frames were lost, because they came faster than they were read.")
-    return 0
+    if not table:
+        return 0
+    load = 100.0 * bits / span_s / network.bitrate
+    return CommandAnswer({"load_percent": load, "seconds": span_s, "lost": lost, "identifiers": [
+        {"can_id": can_id, "name": names[can_id], "frames": count, "per_second": count / span_s}
+        for can_id, count in sorted(counts.items())]}, [
+        *(f"{can_id:03X}  {names[can_id]:10}  {count:8} frames  {count / span_s:10.1f} /s"
+          for can_id, count in sorted(counts.items())),
+        f"{sum(counts.values())} frames in {span_s:.3f} s, {load:.1f} % of the bus at most."])
 
 
 def _frames(source: Path | None, chosen: BusSettings | None, bitrate: int,
@@ -102,7 +108,6 @@ def _frames(source: Path | None, chosen: BusSettings | None, bitrate: int,
     """Yield identifier, data, time (ns), words for a frame that is no plain data frame, and frames lost so far."""
     from bowden.bench import buses
     from master.network.link import FAILURES, stamp_ns
-    from parameters import InputError
 
     if source is not None:
         yield from _of_file(source)
@@ -127,7 +132,6 @@ def _frames(source: Path | None, chosen: BusSettings | None, bitrate: int,
 def _of_file(source: Path) -> Iterator[tuple[int, bytes, int, str, int]]:
     """Yield the frames of a recorded file as `_frames` does; `-` is candump's output on standard input."""
     from master.network.link import stamp_ns
-    from parameters import InputError
 
     if str(source) == "-":
         yield from _dumped(sys.stdin, "-")
@@ -155,8 +159,6 @@ def _dumped(lines: Iterable[str], name: str) -> Iterator[tuple[int, bytes, int, 
 
 def _recorded(source: Path) -> Iterator[Any]:
     import can
-
-    from parameters import InputError
 
     try:
         with closing(_reader(source)) as reader:
@@ -193,7 +195,6 @@ def _special_of(can_id: int, data: bytes, dlc: int, *, error: bool, remote: bool
 
 def _dictionaries(given: list[str]) -> dict[int, Dictionary]:
     from eds.dictionary import read
-    from parameters import InputError
 
     found = {}
     for text in given:
@@ -205,8 +206,6 @@ def _dictionaries(given: list[str]) -> dict[int, Dictionary]:
 
 
 def _kinds(only: str | None) -> frozenset[str]:
-    from parameters import InputError
-
     asked = frozenset(KINDS if only is None else only.split(","))
     if unknown := sorted(asked - set(KINDS)):
         raise InputError(f"--only {unknown[0]}: is no kind of frame; give some of {','.join(KINDS)}.")
@@ -214,21 +213,7 @@ def _kinds(only: str | None) -> frozenset[str]:
 
 
 def _nodes(nodes: str | None) -> frozenset[int]:
-    from parameters import InputError
-
     try:
         return frozenset(int(one) for one in nodes.split(",")) if nodes else frozenset()
     except ValueError:
         raise InputError(f"--node {nodes}: expected node ids; write for instance 1,5.") from None
-
-
-def _show_table(counts: Counter[int], names: dict[int, str], span_s: float, load: float, lost: int, *,
-                json: bool) -> None:
-    if json:
-        terminal.emit({"load_percent": load, "seconds": span_s, "lost": lost, "identifiers": [
-            {"can_id": can_id, "name": names[can_id], "frames": count, "per_second": count / span_s}
-            for can_id, count in sorted(counts.items())]})
-        return
-    for can_id, count in sorted(counts.items()):
-        print(f"{can_id:03X}  {names[can_id]:10}  {count:8} frames  {count / span_s:10.1f} /s")
-    print(f"{sum(counts.values())} frames in {span_s:.3f} s, {load:.1f} % of the bus at most.")

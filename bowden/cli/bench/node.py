@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bowden import output_files
 from bowden.cli import options
 from bowden.cli.app import app
-from bowden.cli.command import CommandGroup
+from bowden.cli.command import CommandGroup, NothingGivenError
 from bowden.cli.option_groups import Bus
 from bowden.cli.terminal import CommandAnswer
+from parameters import InputError
+from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from eds.dictionary import Dictionary
@@ -41,17 +44,15 @@ Type = Annotated[str | None, typer.Option(
 
 
 @node.command()
-def scan(reached: Bus, eds: Eds = None, config: options.Config = None) -> CommandAnswer:
+def scan(reached: Bus, eds: Eds = None) -> CommandAnswer:
     """Find the nodes of a bus: heartbeats, identities, and names of EDS files that fit.
 
     Example: bowden node scan
     """
-    from bowden.bench.any_node import linked
-    from eds.dictionary import PACKAGED, packaged
     from master.node_access import node_scan as scanning
 
-    files = [packaged(name) for name in PACKAGED] if eds is None else scanning.files_of(eds)
-    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
+    files = scanning.files_of(eds)
+    with reached.linked() as link:
         found = scanning.scan(link, files)
     identities = ["no SDO answer" if one.identity is None else " ".join(
         f"{name} 0x{value:08X}" for name, value in one.identity.items()) for one in found]
@@ -63,12 +64,12 @@ def scan(reached: Bus, eds: Eds = None, config: options.Config = None) -> Comman
 
 
 @node.command()
-def info(name: Name, reached: Bus, eds: Eds = None, config: options.Config = None) -> CommandAnswer:
+def info(name: Name, reached: Bus, eds: Eds = None) -> CommandAnswer:
     """Show a node's identity, versions, NMT state and drive state.
 
     Example: bowden node info 1
     """
-    with _node(name, reached, config, eds) as one:
+    with _node(name, reached, eds) as one:
         about = one.info()
     hexadecimal = ("device_type", "vendor", "product", "revision", "serial")
     return CommandAnswer({"node": one.node_id, **about}, [
@@ -80,18 +81,17 @@ def info(name: Name, reached: Bus, eds: Eds = None, config: options.Config = Non
 def read(
     name: Name, place: ObjectOf, reached: Bus, eds: Eds = None, type: Type = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="File for the bytes.")] = None,
-    overwrite: options.Overwrite = False, block: Block = False, config: options.Config = None,
+    overwrite: options.Overwrite = False, block: Block = False,
 ) -> CommandAnswer:
     """Read one object, typed by the EDS or by --type.
 
     Example: bowden node read 1 1018:01
     """
-    from bowden import output_files
     from master.node_access import object_text
 
     if output is not None:
         output_files.refuse([output], overwrite=overwrite)
-    with _node(name, reached, config, eds) as one:
+    with _node(name, reached, eds) as one:
         at = one.find(place)
         kind = one.kind(at, type)
         data = one.read_bytes(at, block=block)
@@ -112,16 +112,14 @@ def write(
     name: Name, place: ObjectOf, reached: Bus,
     value: Annotated[str | None, typer.Argument(metavar="VALUE", help="Decimal, 0x…, text or hex bytes.")] = None,
     given: Annotated[Path | None, typer.Option("--input", metavar="FILE", help="File with the bytes.")] = None,
-    eds: Eds = None, type: Type = None, block: Block = False, force: Force = False, config: options.Config = None,
+    eds: Eds = None, type: Type = None, block: Block = False, force: Force = False,
 ) -> CommandAnswer:
     """Write one object, typed by the EDS or by --type, and read it back.
 
     Example: bowden node write 1 1017 500
     """
-    from bowden.cli.command import NothingGivenError
     from master.network.sdo import SdoError
     from master.node_access import object_text
-    from parameters import InputError
 
     if (value is None) == (given is None):
         raise NothingGivenError("NODE OBJECT VALUE", "write: give either VALUE or --input FILE.")
@@ -129,7 +127,7 @@ def write(
         content = None if given is None else given.read_bytes()
     except OSError as error:
         raise InputError(f"{given}: cannot be read ({error.strerror}); give a readable file.") from None
-    with _node(name, reached, config, eds, force=force, acts=True) as one:
+    with _node(name, reached, eds, force=force, acts=True) as one:
         at = one.find(place)
         data = one.encoded(at, value or "", type) if content is None else content
         one.write_bytes(at, data, block=block)
@@ -156,7 +154,6 @@ def _object(one: NodeAccess, at: int) -> str:
 def objects(
     name: Name, reached: Bus, eds: Eds = None,
     changed: Annotated[bool, typer.Option("--changed", help="Only values that are not the EDS's default.")] = False,
-    config: options.Config = None,
 ) -> CommandAnswer:
     """List a node's objects with their live values; * marks one that is not the EDS's default.
 
@@ -164,7 +161,7 @@ def objects(
     """
     from master.node_access import object_text
 
-    with _node(name, reached, config, eds) as one:
+    with _node(name, reached, eds) as one:
         found = [each for each in one.objects() if each.changed or not changed]
         units = one.units
     shown = [each.refusal or object_text.shown(
@@ -187,7 +184,7 @@ def pdo(
     given: Annotated[list[str] | None, typer.Option(
         "--set", metavar="PDO.KEY=N",
         help="cob_id, type, inhibit (100 µs) or event_timer (ms): tpdo1.type=1.")] = None,
-    force: Force = False, config: options.Config = None,
+    force: Force = False,
 ) -> CommandAnswer:
     """Show a node's PDOs with names and values, or change them in the order of CiA 301.
 
@@ -196,7 +193,7 @@ def pdo(
     from master.node_access import object_text, pdo_settings
 
     settings = _settings(given or [])
-    with _node(name, reached, config, eds, force=force, acts=bool(mapped or given)) as one:
+    with _node(name, reached, eds, force=force, acts=bool(mapped or given)) as one:
         maps = _mapped(mapped or [], one)
         for index in dict.fromkeys((*maps, *settings)):
             pdo_settings.configure(one.link, one.node_id, index, maps.get(index), settings.get(index))
@@ -247,7 +244,6 @@ def _read_or_none(one: NodeAccess, at: int) -> Any:
 
 def _mapped(given: list[str], one: NodeAccess) -> dict[int, list[int]]:
     from master.node_access import pdo_settings
-    from parameters import InputError
 
     found = {}
     for text in given:
@@ -260,7 +256,6 @@ def _mapped(given: list[str], one: NodeAccess) -> dict[int, list[int]]:
 
 def _settings(given: list[str]) -> dict[int, dict[str, int]]:
     from master.node_access import pdo_settings
-    from parameters import InputError
 
     found: dict[int, dict[str, int]] = {}
     for text in given:
@@ -282,13 +277,13 @@ def _settings(given: list[str]) -> dict[int, dict[str, int]]:
 def errors(
     name: Name, reached: Bus, eds: Eds = None,
     clear: Annotated[bool, typer.Option("--clear", help="Clear the history 0x1003.")] = False,
-    force: Force = False, config: options.Config = None,
+    force: Force = False,
 ) -> CommandAnswer:
     """Show a node's error register and error history in words; exit status 1 where an error is present.
 
     Example: bowden node errors 1 || true
     """
-    with _node(name, reached, config, eds, force=force, acts=clear) as one:
+    with _node(name, reached, eds, force=force, acts=clear) as one:
         if clear:
             one.clear_errors()
         bits, history = one.errors()
@@ -304,21 +299,18 @@ def nmt(
     name: Annotated[str, typer.Argument(metavar="NODE", help="Node id, name, or all.", show_default=False)],
     command: Annotated[str, typer.Argument(metavar="COMMAND", help="start, stop, preop, reset or reset-comm.",
                                            show_default=False)],
-    reached: Bus, force: Force = False, config: options.Config = None,
+    reached: Bus, force: Force = False,
 ) -> CommandAnswer:
     """Command the NMT state of a node or of all nodes; exit status 1 if a node does not show the new state.
 
     Example: bowden node nmt 3 start
     """
-    from bowden.bench.any_node import linked
     from master.node_access import remote_node as access
 
     if command not in access.COMMANDS:
-        from parameters import InputError
-
         raise InputError(f"nmt {command}: is no command; give one of {', '.join(access.COMMANDS)}.")
-    node_id = 0 if name == "all" else node_id_of(name, reached, config)
-    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
+    node_id = 0 if name == "all" else node_id_of(name, reached)
+    with reached.linked() as link:
         refuse_other_master(link, force)
         answer = access.nmt(link, node_id, command)
     states = list(answer.states.values()) if node_id else [f"{one} {state}" for one, state in answer.states.items()]
@@ -340,7 +332,6 @@ def emcy(
     """
     from eds.dictionary import read as read_eds
     from eds.emcy_codes import emcy_text
-    from parameters import InputError
 
     try:
         number = int(code.removesuffix("h"), 16)
@@ -359,21 +350,18 @@ def backup(
     reached: Bus,
     eds: Eds = None,
     concise: Annotated[Path | None, typer.Option(metavar="FILE", help="Write them as concise DCF (1F22), too.")] = None,
-    config: options.Config = None,
     overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Read a node's parameters and PDO settings and write them as DCF.
 
     Example: bowden node backup servo -o servo.dcf
     """
-    from bowden import output_files
     from eds.dictionary import read as read_dcf
     from master.node_access import dcf
-    from parameters.files import write_whole
 
     output_files.refuse([output, concise], overwrite=overwrite)
     output_files.refuse_ending(output, ".dcf", what="a node's parameters")
-    with _described(name, reached, config, eds) as (link, entry):
+    with _described(name, reached, eds) as (link, entry):
         dcf.refuse_other(link, entry, entry.dictionary, entry.dictionary.path)
         unread: list[str] = []
         values = {**dcf.backup(link, entry, unread), **dcf.stamp(entry.dictionary, datetime.datetime.now())}
@@ -386,20 +374,20 @@ def backup(
 
 
 @node.command()
-def compare(name: Name, file: File, reached: Bus, config: options.Config = None) -> CommandAnswer:
+def compare(name: Name, file: File, reached: Bus) -> CommandAnswer:
     """List the parameters of a node that differ from a DCF; exit status 1 where any does.
 
     Example: bowden node backup servo -o servo.dcf && bowden node compare servo servo.dcf
     """
     from master.node_access import dcf
 
-    found = _against_a_dcf(name, file, reached, config, dcf.compare)
+    found = _against_a_dcf(name, file, reached, dcf.compare)
     return _differences(name, file, found, "differ", 1 if found else 0)
 
 
 @node.command()
 def restore(
-    name: Name, file: File, reached: Bus, force: Force = False, config: options.Config = None,
+    name: Name, file: File, reached: Bus, force: Force = False,
 ) -> CommandAnswer:
     """Write what differs from a DCF into the node and store it there.
 
@@ -407,36 +395,35 @@ def restore(
     """
     from master.node_access import dcf
 
-    found = _against_a_dcf(name, file, reached, config, dcf.restore, force=force, acts=True)
+    found = _against_a_dcf(name, file, reached, dcf.restore, force=force, acts=True)
     return _differences(name, file, found, "restored")
 
 
-def _against_a_dcf(name: str, file: Path, reached: Bus, config: Path | None, act: Act,
+def _against_a_dcf(name: str, file: Path, reached: Bus, act: Act,
                    **guarded: bool) -> list[ParameterDifference]:
     """Return the result of `act` on a node and the node's DCF."""
     from eds.dictionary import read as read_dcf
     from master.node_access import dcf
 
-    node_id = node_id_of(name, reached, config)
+    node_id = node_id_of(name, reached)
     given = read_dcf(file, node_id)
-    with _described(name, reached, config, file, **guarded) as (link, entry):
+    with _described(name, reached, file, **guarded) as (link, entry):
         dcf.refuse_other(link, entry, given, str(file))
         return act(link, entry, given)
 
 
 @contextmanager
-def _described(name: str, reached: Bus, config: Path | None, eds: Path | None,
+def _described(name: str, reached: Bus, eds: Path | None,
                **guarded: bool) -> Iterator[tuple[Link, DescribedNode]]:
     """Return a link and the entry of a node that has a dictionary, in PRE-OPERATIONAL where nothing else is live."""
     from eds.bench.bench_network import wire
     from eds.cia301 import NmtCommand
     from master.node_access.dcf import NamedNode
-    from parameters import InputError
 
-    known = {entry.name: entry for entry in wire(reached.sections(config)["network"]).nodes.values()}
+    known = {entry.name: entry for entry in wire(reached.network()).nodes.values()}
     if eds is None and name in known:
         eds = Path(known[name].dictionary.path)
-    with _node(name, reached, config, eds, **guarded) as one:
+    with _node(name, reached, eds, **guarded) as one:
         if one.dictionary is None:
             raise InputError(f"node {one.node_id}: no EDS fits it; give --eds FILE or a folder of them.")
         if name in known:
@@ -445,14 +432,14 @@ def _described(name: str, reached: Bus, config: Path | None, eds: Path | None,
 
 
 @contextmanager
-def _node(name: str, reached: Bus, config: Path | None, eds: Path | None, *, force: bool = False,
+def _node(name: str, reached: Bus, eds: Path | None, *, force: bool = False,
           acts: bool = False) -> Iterator[NodeAccess]:
     """Return a node on its bus; `acts`: refuse while another master is there, unless `force`."""
-    from bowden.bench.any_node import dictionary_of, linked
+    from bowden.bench.any_node import dictionary_of
     from master.node_access.remote_node import NodeAccess
 
-    node_id = node_id_of(name, reached, config)
-    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
+    node_id = node_id_of(name, reached)
+    with reached.linked() as link:
         if acts:
             refuse_other_master(link, force)
         link.sdo_read(node_id, 0x1000)
@@ -462,28 +449,21 @@ def _node(name: str, reached: Bus, config: Path | None, eds: Path | None, *, for
 def refuse_other_master(link: Link, force: bool) -> None:
     """Raise `InputError` while another master is on the bus, unless `force`."""
     from master.network.bus_survey import other_master
-    from parameters import InputError
 
     if not force and (seen := other_master(link)):
         raise InputError(f"another master runs this bus: {seen}; stop it, or add --force.")
 
 
-def node_id_of(name: str, reached: Bus, config: Path | None) -> int:
+def node_id_of(name: str, reached: Bus) -> int:
     """Return the node id of a number or of a name of the configuration; `InputError` for another word."""
     from eds.bench.bench_network import wire
-    from parameters import InputError
 
     if name.isdecimal() and 1 <= int(name) <= 127:
         return int(name)
-    known = {entry.name: node_id for node_id, entry in wire(reached.sections(config)["network"]).nodes.items()}
+    known = {entry.name: node_id for node_id, entry in wire(reached.network()).nodes.items()}
     if name not in known:
         raise InputError(f"{name!r} is no node; expected an id from 1 to 127, or one of {', '.join(known)}.")
     return known[name]
-
-
-def bitrate_of(reached: Bus, config: Path | None) -> int:
-    """Bit rate of the bus, bit/s: the option's, else that of the configuration."""
-    return int(reached.sections(config)["network"].bitrate)
 
 
 def _listed(value: object) -> str:

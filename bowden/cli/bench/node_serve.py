@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bowden.cli import options, terminal
-from bowden.cli.bench.node import Name, bitrate_of, node, node_id_of
-from bowden.cli.option_groups import Bus, grouped
+from bowden.cli import ending, options, terminal
+from bowden.cli.bench.node import Name, node, node_id_of
+from bowden.cli.option_groups import Bus
+from bowden.cli.terminal import CommandAnswer
+from parameters import InputError
 
 if TYPE_CHECKING:
     from bowden.testing import CanBus, CanopenNode
@@ -21,27 +23,24 @@ FAULTS = {"drop": None, "delay": "ms", "corrupt": "bit", "duplicate": None, "sho
 
 
 @node.command()
-@grouped
 def guard(
     name: Name, reached: Bus,
     period: Annotated[int, typer.Option("--period", metavar="MS", min=1, max=65_535, help="Guard time.")] = 100,
     life: Annotated[int, typer.Option("--life", metavar="N", min=1, max=255,
                                       help="Number of unanswered remote frames that count as a loss.")] = 3,
     seconds: Annotated[float, typer.Option("--for", metavar="S", min=0.0, help="Time to guard.")] = 10.0,
-    config: options.Config = None, json: options.Json = False,
-) -> int:
+) -> CommandAnswer:
     """Guard a node that has no heartbeat by remote frames; exit status 1 if it is lost.
 
     Example: bowden node guard 1 --for 1 || true
     """
-    from bowden.bench.any_node import linked
     from master.network.node_guard import NodeGuard
     from master.node_access.remote_node import state_name
 
-    node_id = node_id_of(name, reached, config)
+    node_id = node_id_of(name, reached)
     events: list[dict[str, object]] = []
     lost = False
-    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
+    with reached.linked() as link:
         guarded = NodeGuard(link, node_id, period * 1_000_000, life)
         began_ns = link.clock()
         while link.clock() - began_ns < seconds * 1e9:
@@ -50,17 +49,14 @@ def guard(
             if event is not None:
                 text = state_name(guarded.state or 0) if event == "state" else event
                 events.append({"time_s": (guarded.asked_ns - began_ns) / 1e9, "event": text})
-                if not json:
+                if not terminal.quiet():
                     print(f"{(guarded.asked_ns - began_ns) / 1e9:8.3f}  {text}")
-    if json:
-        terminal.emit({"node": node_id, "asked": guarded.asked, "unanswered": guarded.unanswered, "events": events})
-    else:
-        print(f"{guarded.asked} remote frames, {guarded.unanswered} unanswered.")
-    return 1 if lost or guarded.state is None else 0
+    return CommandAnswer(
+        {"node": node_id, "asked": guarded.asked, "unanswered": guarded.unanswered, "events": events},
+        f"{guarded.asked} remote frames, {guarded.unanswered} unanswered.", 1 if lost or guarded.state is None else 0)
 
 
 @node.command()
-@grouped
 def serve(
     file: Annotated[str, typer.Argument(metavar="FILE", help="EDS or DCF, or the name of a packaged one.",
                                         show_default=False)],
@@ -76,9 +72,8 @@ def serve(
         "drop=585,count=2,after=10; delay=185,ms=5; repeatable.")] = None,
     serial: Annotated[int | None, typer.Option(metavar="NUMBER", help="Serial number, 1018:04.")] = None,
     store: Annotated[Path | None, typer.Option(metavar="FILE", help="File of what 0x1010 and LSS store.")] = None,
-    seconds: Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")] = None,
-    config: options.Config = None, json: options.Json = False,
-) -> int:
+    seconds: options.Seconds = None,
+) -> CommandAnswer | int:
     """Serve a node on a bus from any EDS, in wall time until Ctrl-C.
 
     It boots as its EDS says: SDO, PDO, NMT, heartbeat, EMCY, SYNC, LSS, store and restore.
@@ -88,9 +83,7 @@ def serve(
     import can
 
     from bowden.bench import buses
-    from bowden.cli import ending
     from bowden.testing import CanBus
-    from parameters import InputError
 
     if reached.interface is None:
         raise InputError("node serve: a node is for other programs' bus; add --interface socketcan --channel can0 (or "
@@ -102,25 +95,23 @@ def serve(
     counted = [_fault(served, text) for text in faults or ()]
     for fault in made.eds_faults:
         terminal.remark(fault)
-    deadline = None if seconds is None else time.monotonic() + seconds
-    with buses.opened_one(reached.chosen(), bitrate_of(reached, config)) as bus, ending.interrupted() as ended:
+    over = ending.after(seconds)
+    with buses.opened_one(reached.chosen(), reached.network().bitrate) as bus, ending.interrupted() as ended:
         terminal.remark(f"node {node_id} is on {reached.interface} {reached.channel or ''}; Ctrl-C ends it.")
         try:
-            figures = served.serve(bus, time.monotonic_ns,
-                                   lambda: ended() or (deadline is not None and time.monotonic() >= deadline),
+            figures = served.serve(bus, time.monotonic_ns, lambda: ended() or over(),
                                    echoes=reached.interface == "udp_multicast")
         except can.CanOperationError as error:
             terminal.remark(f"{reached.interface} is gone ({error}); the node ends.")
             return 1
     result = {"node": made.node_id, "state": made.state.name, "received": figures.received, "sent": figures.sent,
               "lost": figures.lost, "faults": [one.struck for one in counted]}
-    terminal.emit(result) if json else print(", ".join(f"{name} {value}" for name, value in result.items()))
-    return ending.CTRL_C if ended() else 0
+    return CommandAnswer(result, ", ".join(f"{name} {value}" for name, value in result.items()),
+                         ending.CTRL_C if ended() else 0)
 
 
 def _application(profile: int | None) -> Application | None:
     from nodes import GenericDrive, IoModule
-    from parameters import InputError
 
     if profile not in (None, 401, 402):
         raise InputError(f"--profile {profile}: is none of 401 and 402; give one of them, or leave it out.")
@@ -130,7 +121,6 @@ def _application(profile: int | None) -> Application | None:
 def _set(made: CanopenNode, text: str) -> None:
     from eds.datatype import decode
     from master.node_access import object_text
-    from parameters import InputError
 
     place, equals, value = text.partition("=")
     if not equals:
@@ -143,8 +133,6 @@ def _set(made: CanopenNode, text: str) -> None:
 
 
 def _fault(served: CanBus, text: str) -> Any:
-    from parameters import InputError
-
     kind, _, rest = text.partition("=")
     cob_id, *more = rest.split(",")
     try:

@@ -5,39 +5,31 @@ It never sends a frame, so a master may run or not; every file is complete whene
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, grouped
+from bowden.cli.option_groups import Bus
+from bowden.cli.terminal import CommandAnswer
 
-Interface = Annotated[str, typer.Option(
-    metavar="NAME", help="python-can interface, such as socketcan, udp_multicast or virtual.")]
-Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
+if TYPE_CHECKING:
+    from bowden.trials.recording import BusRecording
+
 Frames = Annotated[int | None, typer.Option(metavar="N", min=1, help="End after so many frames.")]
 MaxSize = Annotated[float | None, typer.Option(metavar="MB", min=0.01, help="A new file after so many MB.")]
 MaxTime = Annotated[float | None, typer.Option(metavar="S", min=0.001, help="A new file after so many s of bus time.")]
 
 
 @app.command()
-@grouped
 def record(
-    output: options.Output,
-    interface: Interface,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
-    *,
-    seconds: Seconds = None,
-    frames: Frames = None,
-    max_size: MaxSize = None,
-    max_time: MaxTime = None,
-    config: options.Config = None,
+    output: options.Output, interface: options.AnyInterface, channel: options.Channel = None,
+    bitrate: options.Bitrate = None, option: options.Extra = None, *, seconds: options.Seconds = None,
+    frames: Frames = None, max_size: MaxSize = None, max_time: MaxTime = None, config: options.Config = None,
     overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+) -> CommandAnswer:
     """Record a bus, listening only.
 
     Every frame and the control cycles that they make, until Ctrl-C; the master may be any.  With --max-size or
@@ -47,15 +39,13 @@ def record(
     """
     import can
 
-    from bowden import output_files
     from bowden.bench import buses
     from bowden.trials.recording import BusRecording
     from eds.bench.bench_network import wire
 
-    reached = Bus(interface, channel, bitrate, option)
-    network = reached.sections(config)["network"]
+    reached = Bus(interface, channel, bitrate, option, config=config)
+    network, chosen = reached.network(), reached.chosen()
     output_files.refuse_ending(output, ".mcap", what="a recording")
-    chosen = reached.chosen()
     made = BusRecording(output, wire(network), overwrite=overwrite, about={
         "interface": interface, "channel": channel or "", "bitrate": str(bitrate or network.bitrate)},
         max_bytes=None if max_size is None else round(max_size * 1e6),
@@ -69,19 +59,15 @@ def record(
             failure = str(error)
         except KeyboardInterrupt:
             made.close()
-            _tell(made.as_json(), json=json)
+            terminal.show(_answer(made, None))
             raise
-    _tell(made.as_json(), json=json)
+    return _answer(made, failure)
+
+
+def _answer(made: BusRecording, failure: str | None) -> CommandAnswer:
+    result: dict[str, Any] = made.as_json()
     if failure is not None:
         terminal.remark(f"the bus has failed: {failure}; what it gave is recorded.")
-    return 0 if failure is None else 1
-
-
-def _tell(told: dict[str, object], *, json: bool) -> None:
-    if json:
-        terminal.emit(told)
-        return
-    files = told["files"]
-    assert isinstance(files, list)
-    left = f", {told['left_out']} CAN FD frames left out" if told["left_out"] else ""
-    print(f"{', '.join(files)}: {told['frames']} frames, {told['cycles']} control cycles{left}.")
+    left = f", {result['left_out']} CAN FD frames left out" if result["left_out"] else ""
+    return CommandAnswer(result, f"{', '.join(result['files'])}: {result['frames']} frames, {result['cycles']} control "
+                         f"cycles{left}.", 0 if failure is None else 1)

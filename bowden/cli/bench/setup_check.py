@@ -27,15 +27,8 @@ Angle = Annotated[list[float] | None, typer.Option(
 
 @check.command("bench")
 def check_bench(
-    calibration: Checked,
-    start: Weight = None,
-    end: Weight = None,
-    knee: Angle = None,
-    path: options.ForcePath = None,
-    *,
-    simulated: SimulatedOptions,
-    reached: Bus,
-    config: options.Config = None,
+    calibration: Checked, start: Weight = None, end: Weight = None, knee: Angle = None,
+    path: options.ForcePath = None, *, simulated: SimulatedOptions, reached: Bus,
 ) -> CommandAnswer:
     """Compare load cells with a known weight and the knee with a goniometer.
 
@@ -57,7 +50,7 @@ def check_bench(
     if not asked:
         raise InputError("check bench: no weight and no angle is given; name some of --start, --end and --knee.")
     read(calibration)
-    sections, chosen = reached.sections(config), reached.chosen(simulated)
+    sections, chosen = reached.sections(), reached.chosen(simulated)
     made: list[SetupCheck] = []
     for of, reference, unit in asked:
         shown = f"{reference:g} N on {of}" if unit == "N" else f"{of} at {math.degrees(reference):g} degrees"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -11,10 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bowden.cli import options, terminal
+from bowden import output_files
+from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
-from bowden.cli.option_groups import Bus, grouped, watched_bench
+from bowden.cli.option_groups import Bus, watched_bench
+from bowden.cli.terminal import CommandAnswer
+from parameters import InputError
 
 if TYPE_CHECKING:
     from bowden.watch.file_watch import FileWatch, WatchedBench
@@ -26,26 +28,15 @@ Recorded = Annotated[Path | None, typer.Option(
     "-o", "--output", metavar="FILE", help="With --interface: where the bus is recorded.")]
 Book = Annotated[Path | None, typer.Option(
     metavar="DIR", help="Logbook of the bench, in place of --healthy and for the scatter between sessions.")]
-Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
 LOOK_S = 0.1
 """Time between two looks at the file, s."""
 
 
 @app.command()
-@grouped
 def watch(
-    trial: Written = None,
-    output: Recorded = None,
-    healthy: options.Healthy = None,
-    logbook: Book = None,
-    *,
-    reached: Bus,
-    seconds: Seconds = None,
-    config: options.Config = None,
-    path: options.ForcePath = None,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+    trial: Written = None, output: Recorded = None, healthy: options.Healthy = None, logbook: Book = None, *,
+    reached: Bus, seconds: options.Seconds = None, path: options.ForcePath = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
     """Diagnose a trial while it is written, or a bus that is only listened to.
 
     A line for each gait cycle; the diagnosis of the whole once the file is closed.
@@ -62,23 +53,26 @@ def watch(
     bench = replace(watched_bench(healthy, logbook), path=path or (
         None if logbook is None else logbook_entries.path_of(logbook)))
     if trial is not None:
-        return _file(trial, bench, seconds, json=json)
-    return _bus(reached, config, output, bench, seconds, overwrite=overwrite, json=json)
+        return _file(trial, bench, seconds)
+    return _bus(reached, output, bench, seconds, overwrite=overwrite)
 
 
-def _file(trial: Path, bench: WatchedBench, seconds: float | None, *, json: bool) -> int:
+def _file(trial: Path, bench: WatchedBench, seconds: float | None) -> CommandAnswer:
     from bowden.watch import file_watch
 
-    deadline = None if seconds is None else time.monotonic() + seconds
-    with terminal.waiting("fitting the reference trials", shown=not json):
+    over = ending.after(seconds)
+    with terminal.waiting("fitting the reference trials"):
         watched = file_watch.FileWatch(trial, bench)
-    found = [_said(watched, one, json) for one in _looked(
-        watched, lambda: deadline is not None and time.monotonic() >= deadline)]
-    told: dict[str, Any] = {"trial": str(trial), "cycles": [one.as_json() for one in found], "diagnosis": None}
+    cycles = []
+    for verdict in _looked(watched, over):
+        cycles.append(verdict.as_json())
+        if not terminal.quiet():
+            print(watched.told(verdict), flush=True)
+    result: dict[str, Any] = {"trial": str(trial), "cycles": cycles, "diagnosis": None}
     if watched.closed:
-        with terminal.waiting("diagnosing the whole trial", shown=not json):
-            told["diagnosis"] = file_watch.as_json(watched.diagnosis())
-    return _tell(told, json=json)
+        with terminal.waiting("diagnosing the whole trial"):
+            result["diagnosis"] = file_watch.as_json(watched.diagnosis())
+    return _answer(result)
 
 
 def _looked(watched: FileWatch, ended: Callable[[], bool]) -> Iterator[WatchVerdict]:
@@ -90,26 +84,24 @@ def _looked(watched: FileWatch, ended: Callable[[], bool]) -> Iterator[WatchVerd
     yield from watched.look(last=True)
 
 
-def _bus(reached: Bus, config: Path | None, output: Path | None, bench: WatchedBench, seconds: float | None, *,
-         overwrite: bool, json: bool) -> int:
+def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float | None, *, overwrite: bool
+         ) -> CommandAnswer:
     """Record the bus in this process, and watch the recording in another one."""
     import can
 
-    from bowden import output_files
     from bowden.bench import buses
     from bowden.trials.recording import BusRecording
     from bowden.watch import watch_process
     from eds.bench.bench_network import wire
-    from parameters import InputError
 
     if output is None:
         raise InputError("bowden watch records the bus that it watches; name the file with -o FILE.")
     output_files.refuse_ending(output, ".mcap", what="a recording")
     output_files.refuse([output], overwrite=overwrite)
-    network = reached.sections(config)["network"]
+    network = reached.network()
     about = {"interface": str(reached.interface), "channel": reached.channel or ""}
     failure = None
-    with watch_process.beside(output, bench, paced=False, shown=not json) as watched, \
+    with watch_process.beside(output, bench, paced=False, shown=not terminal.quiet()) as watched, \
             buses.opened_one(reached.chosen(), network.bitrate) as heard:
         with BusRecording(output, wire(network), overwrite=overwrite, about=about) as made:
             terminal.remark(f"watching {reached.interface} {reached.channel or ''}; Ctrl-C ends it.")
@@ -121,27 +113,17 @@ def _bus(reached: Bus, config: Path | None, output: Path | None, bench: WatchedB
                 terminal.remark("ended; the whole recording is diagnosed.")
         watched.ended("recorded")
         watched.conclude()
-        told = {"trial": str(output), **watched.as_json()}
+        result = {"trial": str(output), **watched.as_json()}
     if failure is not None:
         terminal.remark(f"the bus has failed: {failure}; what it gave is diagnosed.")
-    return max(_tell(told, json=json), int(failure is not None))
+    return _answer(result, failed=failure is not None)
 
 
-def _said(watched: FileWatch, one: WatchVerdict, json: bool) -> WatchVerdict:
-    if not json:
-        print(watched.told(one))
-        sys.stdout.flush()
-    return one
-
-
-def _tell(told: dict[str, Any], *, json: bool) -> int:
-    """Print the diagnosis of the whole; 0 where there is one, 1 where the file was not closed or not diagnosed."""
-    found = told["diagnosis"]
-    if json:
-        terminal.emit(told)
-    elif found is not None:
-        print(f"Verdict: {found['verdict']}" + (f": {', '.join(found['class'])}" if found["class"] else ""))
-    else:
-        terminal.remark(f"{told['trial']}: no diagnosis of the whole: "
-                        f"{told.get('remark') or 'the file is not closed yet.'}")
-    return 0 if found is not None else 1
+def _answer(result: dict[str, Any], *, failed: bool = False) -> CommandAnswer:
+    """Return the diagnosis of the whole; status 1 where the file was not closed or not diagnosed, or the bus failed."""
+    found = result["diagnosis"]
+    if found is None and not terminal.quiet():
+        terminal.remark(f"{result['trial']}: no diagnosis of the whole: "
+                        f"{result.get('remark') or 'the file is not closed yet.'}")
+    return CommandAnswer(result, "" if found is None else f"Verdict: {found['verdict']}" + (
+        f": {', '.join(found['class'])}" if found["class"] else ""), int(failed or found is None))

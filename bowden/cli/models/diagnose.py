@@ -3,19 +3,19 @@
 
 from __future__ import annotations
 
-import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
+from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 Trials = Annotated[list[Path] | None, typer.Argument(
     metavar="TRIAL…", help="MCAP, or CSV (.gz) with canonical headers.", show_default=False)]
 Holdout = Annotated[list[Path] | None, typer.Option(metavar="TRIAL", help="Never fitted, only judged; repeatable.")]
-Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase low-pass on every signal.")]
 Extended = Annotated[Path | None, typer.Option(
     "-o", "--output", metavar="FILE", help="extended.toml: named effects, for --plant-model and --controller-model.")]
 Report = Annotated[Path | None, typer.Option(metavar="FILE", help="One HTML page that needs no network.")]
@@ -60,38 +59,22 @@ WIDTH = 80
 
 @app.command()
 def diagnose(
-    trials: Trials = None,
-    calibration: options.Calibration = None,
-    healthy: options.Healthy = None,
-    holdout: Holdout = None,
-    path: options.ForcePath = None,
-    lowpass: Lowpass = None,
-    output: Extended = None,
-    report: Report = None,
-    figures: Figures = None,
-    terms: Terms = False,
-    effects: Effects = None,
-    tracked: Tracked = None,
-    each: Each = False,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
+    trials: Trials = None, calibration: options.Calibration = None, healthy: options.Healthy = None,
+    holdout: Holdout = None, path: options.ForcePath = None, lowpass: options.Lowpass = None, output: Extended = None,
+    report: Report = None, figures: Figures = None, terms: Terms = False, effects: Effects = None,
+    tracked: Tracked = None, each: Each = False,
+    workers: Workers = None, scheduler: Scheduler = None,
     logbook: Annotated[Path | None, typer.Option(
         metavar="DIR", help="Logbook to enter the verdict in; it replaces --healthy.")] = None,
-    plan: Planned = None,
-    peak: options.Peak = None,
-    period: options.Period = None,
-    cycles: options.Cycles = None,
-    noise: Noise = None,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+    plan: Planned = None, peak: options.Peak = None, period: options.Period = None, cycles: options.Cycles = None,
+    noise: Noise = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
     """Name the causes of the simulation's errors.
 
     From measured trials: the cause by name, with intervals, on held-out data.
 
     Example: bowden diagnose trial.mcap --healthy good.mcap -o extended.toml --report diagnosis.html
     """
-    from bowden import output_files
     from bowden.trials import force_paths
     from physics.effects import own_effects
 
@@ -101,11 +84,11 @@ def diagnose(
              "--each": each, "--workers": workers, "--scheduler": scheduler, "--path": path}
     if plan is not None:
         _leave_out(given, given, "--plan is before any trial")
-        return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [], json)
+        return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [])
     chosen = _trials(trials, asked, given)
     own_effects.read_each(effects or [])
     if each:
-        return _each(chosen, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers), json)
+        return _each(chosen, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers))
     output_files.refuse([output, report], overwrite=overwrite, inputs=[
         *chosen, *(healthy or ()), *(holdout or ()), calibration, *(tracked or ())])
     output_files.refuse_ending(report, ".html", ".htm", what="a page")
@@ -121,7 +104,7 @@ def diagnose(
     began = time.perf_counter()
     if path is not None and calibration is not None:
         calibration = force_paths.file_of(calibration, path)
-    with _steps(shown=not json) as step:
+    with terminal.progress("diagnosing") as step:
         found = _diagnosed(chosen, path, calibration, healthy or [], holdout or [], lowpass, output, report, tracked,
                            step, figures, deviations, overwrite=overwrite, terms=terms)
     result = found.as_json() | ({} if path is None else {"path": path}) | {"seconds": time.perf_counter() - began}
@@ -131,13 +114,7 @@ def diagnose(
         kept: dict[str, Any] = {name: result[name] for name in ENTERED if name in result}
         for trial in chosen:
             logbook_entries.add_verdict(logbook, trial, kept)
-    if json:
-        terminal.emit(result)
-    else:
-        if path is not None:
-            print(f"Path {path}.")
-        _tell(found, result)
-    return 2 if found.verdict == "refused" else 0
+    return CommandAnswer(result, lambda: _tell(found, result), 2 if found.verdict == "refused" else 0)
 
 
 def _of_logbook(logbook: Path, healthy: list[Path] | None, trials: list[Path]
@@ -192,17 +169,17 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
 
 def _each(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
-    where: tuple[str | None, int | None], json: bool,
-) -> int:
-    """Diagnose every trial for itself; return 0 with a result for each, 1 if some were refused, 2 if all were."""
+    where: tuple[str | None, int | None],
+) -> CommandAnswer:
+    """Diagnose every trial for itself; status 0 with a result for each, 1 if some were refused, 2 if all were."""
     from bowden.sweep import diagnose_each, run
 
     given = diagnose_each.Given(calibration, tuple(healthy), tuple(holdout), lowpass)
-    with run.workers_of(*where) as crew, terminal.progress("diagnosing", shown=not json) as update:
+    with run.workers_of(*where) as crew, terminal.progress("diagnosing") as update:
         told = diagnose_each.each(trials, given, crew, update)
-    terminal.emit({"trials": told}) if json else _tell_each(told, lowpass)
     refused = sum(one["verdict"] == "refused" for one in told.values())
-    return 2 if refused == len(told) else 1 if refused else 0
+    return CommandAnswer({"trials": told}, lambda: _tell_each(told, lowpass),
+                         2 if refused == len(told) else 1 if refused else 0)
 
 
 def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
@@ -221,26 +198,10 @@ def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
             _say(f"why not: {todo}" if one["verdict"] == "refused" else f"next: {todo}", "    ")
 
 
-@contextmanager
-def _steps(*, shown: bool) -> Iterator[Callable[[str, float], None]]:
-    """Show a bar on stderr; yields a function of the present step and the share done, 0…1."""
-    if not (shown and sys.stderr.isatty()):
-        yield lambda what, share: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-               TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("diagnosing", total=1.0)
-        yield lambda what, share: bar.update(task, description=what, completed=share)
-
-
 def _diagnosed(
     trials: list[Path], path: str | None, calibration: Path | None, healthy: list[Path], holdout: list[Path],
     lowpass: float | None, output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None,
-    step: Callable[[str, float], None], figures: Path | None, deviations: dict[str, float] | None, *, overwrite: bool,
+    step: Callable[[float, str], None], figures: Path | None, deviations: dict[str, float] | None, *, overwrite: bool,
     terms: bool,
 ) -> Findings:
     """Diagnose, and write the requested files; a refused diagnosis writes nothing."""
@@ -251,14 +212,14 @@ def _diagnosed(
     groups: list[list[Table]] = [[], [], []]
     files = [(group, file) for group, files in enumerate((trials, healthy, holdout)) for file in files]
     for done, (group, file) in enumerate(files):
-        step(f"reading {file.name}", READING * done / len(files))
+        step(READING * done / len(files), f"reading {file.name}")
         groups[group].append(diagnosing.table_of(file, path))
-    step("fitting the healthy trials" if healthy else "preparing", READING)
+    step(READING, "fitting the healthy trials" if healthy else "preparing")
     finder = Finder(calibration, lowpass, deviations).examine(groups[1])
-    step("fitting the effects, cycle by cycle", SEARCHING)
+    step(SEARCHING, "fitting the effects, cycle by cycle")
     found = finder.diagnose(groups[0], groups[2], terms=terms)
     found = diagnosing.on_its_footing(found, trials, path, measured=bool(calibration or healthy))
-    step("writing", WRITING)
+    step(WRITING, "writing")
     if found.verdict == "refused":
         return found
     if output is not None:
@@ -277,6 +238,8 @@ def _diagnosed(
 def _tell(found: Findings, result: dict[str, Any]) -> None:
     from diagnosis.report.headline import headline
 
+    if "path" in result:
+        print(f"Path {result['path']}.")
     for sentence in headline(found):
         _say(sentence)
     if not found.candidates:
@@ -321,13 +284,12 @@ def _parameters(parameters: dict[str, Any]) -> str:
                      for name, value in parameters.items())
 
 
-def _plan(name: str, walk: tuple[Any, ...], calibration: Path | None, healthy: list[Path], json: bool) -> int:
+def _plan(name: str, walk: tuple[Any, ...], calibration: Path | None, healthy: list[Path]) -> CommandAnswer:
     from bowden.trials import planning
 
-    with terminal.waiting(f"simulating {name}", shown=not json):
+    with terminal.waiting(f"simulating {name}"):
         found = planning.plan(name, planning.WalkPlan(*walk), calibration, healthy)
-    terminal.emit({"experiment": name, **found.as_json()}) if json else _tell_plan(name, found)
-    return 0
+    return CommandAnswer({"experiment": name, **found.as_json()}, lambda: _tell_plan(name, found))
 
 
 def _tell_plan(name: str, found: Plan) -> None:

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
+from bowden.cli.terminal import CommandAnswer
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
 
 Trials = Annotated[list[Path] | None, typer.Argument(
     metavar="TRIAL…", help="Trials of one session, MCAP or CSV.", show_default=False)]
-Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase low-pass on every signal.")]
 Extended = Annotated[Path | None, typer.Option(
     "-o", "--output", metavar="FILE", help="extended.toml with the terms, for --plant-model and --controller-model.")]
 Picture = Annotated[Path | None, typer.Option(
@@ -30,23 +31,16 @@ Promoted = Annotated[Path | None, typer.Option(
 
 @app.command()
 def discover(
-    trials: Trials = None,
-    healthy: options.Healthy = None,
-    path: options.ForcePath = None,
-    lowpass: Lowpass = None,
-    output: Extended = None,
-    picture: Picture = None,
-    promote: Promoted = None,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+    trials: Trials = None, healthy: options.Healthy = None, path: options.ForcePath = None,
+    lowpass: options.Lowpass = None, output: Extended = None, picture: Picture = None,
+    promote: Promoted = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
     """Find terms that extend the model where no effect of the catalogue fits.
 
     At most three terms: constants of the bench that change with load, motion, angle or time.
 
     Example: bowden discover trial.mcap --healthy good.mcap -o extended.toml --picture law.png
     """
-    from bowden import output_files
     from bowden.models import discovering
 
     if not trials or not healthy:
@@ -56,11 +50,10 @@ def discover(
     output_files.refuse_ending(output, ".toml", what="a law")
     output_files.refuse_ending(promote, ".toml", what="an effect")
     output_files.refuse_ending(picture, ".png", ".svg", ".pdf", what="a picture")
-    with terminal.waiting("fitting the reference trials, then the terms", shown=not json):
+    with terminal.waiting("fitting the reference trials, then the terms"):
         found = discovering.discover(trials, healthy, lowpass_hz=lowpass, path=path)
     written = _write(found, output, picture, promote)
-    terminal.emit(found.as_json()) if json else _tell(found, written)
-    return 0
+    return CommandAnswer(found.as_json(), lambda: _tell(found, written))
 
 
 def _write(found: Discovered, output: Path | None, picture: Path | None, promote: Path | None) -> list[Path]:

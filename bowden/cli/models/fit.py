@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.models import scalars_table
 from bowden.cli.terminal import CommandAnswer
+from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from estimation.bench_fit import FittedBench
@@ -19,17 +21,12 @@ Trials = Annotated[list[Path], typer.Argument(
     metavar="TRIAL…", help="Healthy trials of one bench: MCAP, or CSV (.gz) with canonical headers.",
     show_default=False)]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="model.toml to write.")]
-Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase low-pass on every signal.")]
 
 
 @app.command()
 def fit(
-    trials: Trials,
-    output: Output,
-    path: options.ForcePath = None,
-    lowpass: Lowpass = None,
-    logbook: options.Logbook = None,
-    overwrite: options.Overwrite = False,
+    trials: Trials, output: Output, path: options.ForcePath = None, lowpass: options.Lowpass = None,
+    logbook: options.Logbook = None, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Fit calibration and simulation of a bench, from its healthy trials.
 
@@ -39,11 +36,9 @@ def fit(
 
     Example: bowden fit good.mcap -o model.toml
     """
-    from bowden import output_files
     from bowden.models.diagnosing import table_of
     from bowden.trials import session
     from estimation import bench_fit
-    from parameters.files import write_whole
 
     session.refuse_no_logbook(logbook)
     output_files.refuse([output], overwrite=overwrite, inputs=trials)

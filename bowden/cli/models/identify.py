@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bowden.cli import options, terminal
+from bowden import output_files
+from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.models import scalars_table
-from bowden.cli.option_groups import Bus, SimulatedOptions, grouped
+from bowden.cli.option_groups import Bus, SimulatedOptions
+from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
 
@@ -31,23 +33,11 @@ NoGait = Annotated[bool, typer.Option(
 
 
 @app.command()
-@grouped
 def identify(
-    what: What,
-    output: options.Output,
-    calibration: Guess = None,
-    recorded: From = None,
-    picture: Picture = None,
-    *,
-    no_gait: NoGait = False,
-    rate: options.Rate = None,
-    simulated: SimulatedOptions,
-    reached: Bus,
-    config: options.Config = None,
-    logbook: options.Logbook = None,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+    what: What, output: options.Output, calibration: Guess = None, recorded: From = None, picture: Picture = None, *,
+    no_gait: NoGait = False, rate: options.Rate = None, simulated: SimulatedOptions, reached: Bus,
+    logbook: options.Logbook = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
     """Measure a bench and write its calibration.
 
     The trial that it was measured in is recorded beside it; --from fits such trials again, without a bus. identify
@@ -55,101 +45,73 @@ def identify(
 
     Example: bowden identify all --serial 3 -o calibration.toml
     """
-    from bowden import output_files
     from bowden.models import identification
     from bowden.trials import session
     from bowden.trials.force_paths import file_of
 
     session.refuse_no_logbook(logbook)
-    _drawable(what, picture)
+    if picture is not None and what in ("sensors", "gait"):
+        raise InputError(f"--picture {picture}: identify {what} measures no loop of Figs. 9 and 10; leave it out.")
     output_files.refuse_ending(output, ".toml", what="a calibration")
     output_files.refuse_picture(picture)
     today = datetime.date.today().isoformat()
-    progress = terminal.Terminal(shown=not json)
     if recorded:
-        _no_bench({"no-gait": no_gait or None, "rate": rate, "config": config,
-                   **reached._asdict(), **simulated._asdict()})
+        for name, value in {"no-gait": no_gait or None, "rate": rate, **reached._asdict(),
+                            **simulated._asdict()}.items():
+            if value is not None:
+                raise InputError(
+                    f"--{name.replace('_', '-')} belongs to measuring a bench; leave it out with --from.")
         output_files.refuse([output, picture], overwrite=overwrite, inputs=[*recorded, calibration])
-        again = identification.again(what, recorded, calibration, date=today, progress=progress)
-        status = _ended([again], output, ", ".join(map(str, recorded)), picture, json)
-        _enter(logbook, again, output)
-        return status
-    sections = reached.sections(config, rate)
-    logbook = session.entered(sections, logbook, config)
+        again = identification.again(what, recorded, calibration, date=today, progress=terminal.Terminal())
+        return _written([again], output, ", ".join(map(str, recorded)), picture, logbook)
+    sections = reached.sections(rate)
+    logbook = session.entered(sections, logbook, reached.config)
     chosen = reached.chosen(simulated)
     recording = output.with_suffix(".mcap")
     output_files.refuse([output, recording, picture], overwrite=overwrite, inputs=[
-        calibration, config, simulated.plant_model])
+        calibration, reached.config, simulated.plant_model])
     paths = [path.name for path in sections["network"].bench.force_paths]
     if len(paths) > 1:
         output_files.refuse([file_of(output, path) for path in paths], overwrite=overwrite)
     found = identification.perform(
         what, sections, calibration, chosen, recording, date=today, gait=not no_gait, overwrite=overwrite,
-        progress=progress)
-    status = _ended(found, output, str(recording), picture, json)
-    for one in found:
-        _enter(logbook, one, _file(output, one))
-    if not json:
-        print(f"Bench: {chosen.told}")
-    return status
+        progress=terminal.Terminal())
+    return _written(found, output, str(recording), picture, logbook, f"Bench: {chosen.told}")
 
 
-def _enter(logbook: Path | None, found: Identified, output: Path) -> None:
-    """Enter the calibration in a logbook, if both exist."""
-    if logbook is not None and found.calibration is not None:
-        from bowden.models import logbook_entries
-
-        logbook_entries.add_model(logbook, "calibration", output)
-
-
-def _drawable(what: str, picture: Path | None) -> None:
-    if picture is not None and what in ("sensors", "gait"):
-        raise InputError(f"--picture {picture}: identify {what} measures no loop of Figs. 9 and 10; "
-                         "leave it out.")
-
-
-def _no_bench(given: Mapping[str, object]) -> None:
-    for name, value in given.items():
-        if value is not None:
-            raise InputError(f"--{name.replace('_', '-')} belongs to measuring a bench; leave it out with --from.")
-
-
-def _file(output: Path, found: Identified) -> Path:
-    """The calibration's file: `output`, or on a bench of several force paths that of its path."""
+def _written(found: Sequence[Identified], output: Path, source: str, picture: Path | None, logbook: Path | None,
+             last: str = "") -> CommandAnswer:
+    """Write the calibration and the picture of each force path, and enter them; return the answer."""
     from bowden.trials.force_paths import file_of
+    from physics.calibration import write
 
-    return file_of(output, found.path) if found.path else output
-
-
-def _ended(found: Sequence[Identified], output: Path, source: str, picture: Path | None, json: bool) -> int:
-    from bowden.cli import ending
-
+    files = {one.path: file_of(output, one.path) if one.path else output for one in found}
     for one in found:
-        if one.calibration is not None:
-            from physics.calibration import write
+        if one.calibration is None:
+            continue
+        write_whole(files[one.path], write(one.calibration), overwrite=True)
+        if picture is not None:
+            from bowden.pages import loops_picture
 
-            write_whole(_file(output, one), write(one.calibration), overwrite=True)
-            if picture is not None:
-                from bowden.pages import loops_picture
+            loops_picture.draw(one.segments, f"{files[one.path].name}, measured in {source}",
+                               file_of(picture, one.path) if one.path else picture)
+        if logbook is not None:
+            from bowden.models import logbook_entries
 
-                title = f"{_file(output, one).name}, measured in {source}"
-                loops_picture.draw(one.segments, title, _file(picture, one))
-    objects = {one.path: _object(one, _file(output, one), source) for one in found}
-    if json:
-        terminal.emit(objects.get("") or {"paths": objects})
-    else:
+            logbook_entries.add_model(logbook, "calibration", files[one.path])
+    objects = {one.path: {
+        "calibration": None if one.calibration is None else str(files[one.path]), "trial": source,
+        "outcome": "completed" if one.reason is None else "stopped", "stop_reason": one.reason,
+        **scalars_table.as_json(one.calibration)} for one in found}
+
+    def words() -> None:
         for one in found:
-            _tell(one, _file(output, one), source)
-    return ending.status_of("completed" if found[0].reason is None else "stopped", found[0].reason)
+            _tell(one, files[one.path], source)
+        if last:
+            print(last)
 
-
-def _object(found: Identified, output: Path, source: str) -> dict[str, Any]:
-    made = found.calibration
-    return {
-        "calibration": None if made is None else str(output), "trial": source,
-        "outcome": "completed" if found.reason is None else "stopped", "stop_reason": found.reason,
-        **scalars_table.as_json(made),
-    }
+    return CommandAnswer(objects.get("") or {"paths": objects}, words,
+                         ending.status_of("completed" if found[0].reason is None else "stopped", found[0].reason))
 
 
 def _tell(found: Identified, output: Path, source: str) -> None:

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import CommandGroup
 from bowden.cli.terminal import CommandAnswer
+from parameters import InputError
 
 if TYPE_CHECKING:
     from logbook.bench_state import BenchState
@@ -121,7 +123,6 @@ def report_bench(folder: Folder, output: options.Output, limit: Limits = None,
 
     Example: bowden logbook init bench1 && bowden logbook report bench1 -o bench1.html
     """
-    from bowden import output_files
     from bowden.models.change_diagnosis import diagnosed_state
     from logbook import bench_page
     from logbook.database import FILE, open_logbook
@@ -142,7 +143,6 @@ def export_logbook(folder: Folder, output: options.Output, table: Table = "trial
 
     Example: bowden logbook init bench1 && bowden logbook export bench1 --table constants -o constants.csv
     """
-    from bowden import output_files
     from logbook.database import FILE, open_logbook
     from logbook.logbook_tables import export_table
 
@@ -161,7 +161,6 @@ def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After
     """
     from logbook.database import open_logbook
     from logbook.maintenance import constants_of
-    from parameters import InputError
 
     if not text.strip():
         raise InputError("logbook note: the text is empty; write what was done.")
@@ -184,8 +183,6 @@ def _completed(incomplete: str) -> list[str]:
 
 
 def _limits(given: Sequence[str] | None) -> dict[str, float]:
-    from parameters import InputError
-
     found = {}
     for one in given or ():
         name, _, value = one.partition("=")
@@ -205,8 +202,6 @@ def _rmse(figures: dict[str, Any]) -> str:
 
 
 def _of_trial(book: Any, number: int) -> CommandAnswer:
-    from parameters import InputError
-
     entries = book.trials(1, trial=number)
     if not entries:
         raise InputError(f"--trial {number}: is not in the logbook; bowden logbook list shows the numbers.")

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bowden.cli import ending, options, terminal
+from bowden.cli import ending, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
-from bowden.cli.option_groups import Bus, SimulatedOptions, grouped
+from bowden.cli.option_groups import BusAlone, SimulatedOptions
+from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
     from bowden.mending.supervisor import MendedBench
@@ -26,18 +27,10 @@ Resume = Annotated[bool, typer.Option("--resume", help="Go on with the journal i
 
 
 @app.command()
-@grouped
 def mend(
-    output: Folder,
-    reference: Reference = None,
-    hours: Hours = 1.0,
-    cycles: Cycles = 10,
-    resume: Resume = False,
-    *,
-    simulated: SimulatedOptions,
-    reached: Bus,
-    json: options.Json = False,
-) -> int:
+    output: Folder, reference: Reference = None, hours: Hours = 1.0, cycles: Cycles = 10, resume: Resume = False, *,
+    simulated: SimulatedOptions, reached: BusAlone,
+) -> CommandAnswer:
     """Repair the model of a bench unattended.
 
     Records a gait, diagnoses it, runs the experiments that decide, extends the model, and keeps what gains in the loop.
@@ -50,11 +43,10 @@ def mend(
         raise NothingGivenError("--reference TRIAL -o DIR",
                                 "bowden mend: give a trial of the bench in the reference condition.")
     found = supervisor.mend(reference, output, bus=reached.chosen(simulated), hours=hours, cycles=cycles, resume=resume,
-                            progress=terminal.Terminal(shown=not json))
-    terminal.emit(found.as_json()) if json else _tell(found)
-    if found.ending.startswith("interrupted"):
-        return ending.CTRL_C
-    return 1 if "stopped" in found.ending or "time is up" in found.ending else 0
+                            progress=terminal.Terminal())
+    stopped = "stopped" in found.ending or "time is up" in found.ending
+    return CommandAnswer(found.as_json(), lambda: _tell(found),
+                         ending.CTRL_C if found.ending.startswith("interrupted") else int(stopped))
 
 
 def _tell(found: MendedBench) -> None:

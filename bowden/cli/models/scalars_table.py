@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from bowden.cli import terminal
+from parameters import declarations
 
 if TYPE_CHECKING:
     from physics.calibration import Calibration
@@ -29,8 +30,6 @@ def show(title: str, found: Calibration) -> None:
 
 
 def _rows(found: Calibration) -> dict[str, dict[str, Any]]:
-    from parameters import declarations
-
     return {
         name: {"value": getattr(found, name), "unit": declared.unit, "low": proof.low, "high": proof.high,
                "r_squared": proof.r_squared}

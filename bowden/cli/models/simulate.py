@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.terminal import CommandAnswer
+from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from estimation.data.table import Table
@@ -26,10 +28,7 @@ Output = Annotated[Path | None, typer.Option(
 
 @app.command()
 def simulate(
-    trial: Trial,
-    model: Model = None,
-    output: Output = None,
-    overwrite: options.Overwrite = False,
+    trial: Trial, model: Model = None, output: Output = None, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Simulate a bench under a trial's measured motion.
 
@@ -37,7 +36,6 @@ def simulate(
 
     Example: bowden simulate trial.mcap --model model.toml
     """
-    from bowden import output_files
     from estimation import bench_fit, simulation
     from estimation.data import table
     from physics import bench_model
@@ -62,7 +60,6 @@ def _write(output: Path, given: Table, told: SimulatedTensions) -> None:
     import numpy as np
 
     from estimation.simulation import SIGNALS
-    from parameters.files import write_whole
 
     columns = {"time_s": given["time_s"]}
     for name in SIGNALS:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, SimulatedOptions, WalkOptions
@@ -25,16 +26,8 @@ FIGURES = (
 
 @app.command()
 def verify(
-    model: Model,
-    output: Output,
-    walk: WalkOptions,
-    rate: options.Rate = None,
-    calibration: options.Calibration = None,
-    *,
-    simulated: SimulatedOptions,
-    reached: Bus,
-    config: options.Config = None,
-    overwrite: options.Overwrite = False,
+    model: Model, output: Output, walk: WalkOptions, rate: options.Rate = None, calibration: options.Calibration = None,
+    *, simulated: SimulatedOptions, reached: Bus, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Measure what compensation of named effects gains in the control loop.
 
@@ -44,10 +37,9 @@ def verify(
 
     Example: bowden verify extended.toml --plant-model bench.toml --cycles 4 -o verify.mcap
     """
-    from bowden import output_files
     from bowden.trials import session
 
-    sections = reached.sections(config, rate)
+    sections = reached.sections(rate)
     reference, sections["gait"], _ = session.reference(
         walk.gait(sections["gait"], controller="extended"), None, None, period_given=walk.period is not None,
         peak_given=walk.peak is not None)
@@ -55,7 +47,7 @@ def verify(
     files = {name: output.with_name(f"{output.stem}-{name}{output.suffix}") for name in ("before", "after")}
     output_files.refuse_ending(output, ".mcap", what="a trial")
     output_files.refuse(files.values(), overwrite=overwrite, inputs=[
-        model, calibration, config, simulated.plant_model])
+        model, calibration, reached.config, simulated.plant_model])
     prepared = {
         name: session.prepare(sections, reference, calibration, chosen, dry_run=False,
                               controller_model=model if name == "after" else None) for name in files}

@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
 from bowden.cli.terminal import CommandAnswer
+from parameters import InputError
+from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -20,7 +23,6 @@ if TYPE_CHECKING:
 Source = Annotated[Path, typer.Argument(
     metavar="FILE", show_default=False,
     help="csv, tsv, xlsx, tdms, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
-Trial = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
 A = Annotated[Path, typer.Argument(metavar="A", help="A recorded trial.", show_default=False)]
 B = Annotated[Path | None, typer.Argument(metavar="B", help="Another trial.", show_default=False)]
 History = Annotated[Path | None, typer.Option(
@@ -39,14 +41,9 @@ Page = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Bot
 
 @app.command("import")
 def import_(
-    source: Source,
-    output: options.Output,
-    columns: Map = None,
-    guess: Guess = False,
-    sheet: Sheet = None,
+    source: Source, output: options.Output, columns: Map = None, guess: Guess = False, sheet: Sheet = None,
     overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+) -> CommandAnswer:
     """Make a trial of a table or a CAN log.
 
     Foreign MCAP files, too; every change is counted. The format of a table (encoding, delimiter, decimal sign, units,
@@ -54,8 +51,6 @@ def import_(
 
     Example: bowden import candump.log -o trial.mcap
     """
-    from bowden import output_files
-    from parameters import InputError
     from trial.convert.csv_file import Dialect
     from trial.convert.csv_table import Map, read_map
     from trial.convert.imports import import_file
@@ -64,31 +59,22 @@ def import_(
     if guess:
         if columns is not None:
             raise InputError("--guess writes a map and --map reads one; leave one of them out.")
-        return _guess(source, output, sheet or "", overwrite=overwrite, json=json)
+        return _guess(source, output, sheet or "", overwrite=overwrite)
     output_files.refuse_ending(output, ".mcap", what="a trial")
     mapped = None if columns is None else read_map(columns)
     if sheet:
         mapped = mapped or Map()
         mapped.dialect = Dialect(sheet=sheet)
-    with terminal.progress(f"importing {source}", shown=not json) as update:
+    with terminal.progress(f"importing {source}") as update:
         report = import_file(source, output, mapped=mapped, overwrite=overwrite, progress=update)
-    if json:
-        terminal.emit({"trial": str(output), **report.as_json()})
-        return 0
-    if report.read_as:
-        print(f"{source}: read with {', '.join(report.read_as)}.")
-    print(f"Trial: {output}")
-    for name, count in report.counts.items():
-        if count:
-            print(f"  {name.replace('_', ' ')}: {count}")
-    for name in report.left_out:
-        print(f"  left out: {name}")
-    return 0
+    read_as = f"{source}: read with {', '.join(report.read_as)}."
+    return CommandAnswer({"trial": str(output), **report.as_json()}, [
+        *([read_as] if report.read_as else []), f"Trial: {output}",
+        *(f"  {name.replace('_', ' ')}: {count}" for name, count in report.counts.items() if count),
+        *(f"  left out: {name}" for name in report.left_out)])
 
 
-def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool, json: bool) -> int:
-    from bowden import output_files
-    from parameters.files import write_whole
+def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool) -> CommandAnswer:
     from trial.convert import guess_map
     from trial.convert.imports import table_of
 
@@ -97,30 +83,30 @@ def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool, json
     write_whole(output, guess_map.text(sheet, str(output)), overwrite=overwrite)
     found = guess_map.guesses(sheet)
     others = guess_map.unassigned(sheet, found)
-    if json:
-        terminal.emit({"map": str(output), "read_as": sheet.remarks, "signals": {
-            one.signal: {"column": one.column, "unit": one.unit, "scale": one.scale, "question": one.question}
-            for one in found}, "not_assigned": {one.column: one.why for one in others}})
-        return 0
-    if sheet.remarks:
-        print(f"{source}: read with {', '.join(sheet.remarks)}.")
-    terminal.table(f"Map: {output}; check it, it is a guess", ("signal", "column", "unit", "scale"), [
-        (one.signal, one.column, one.unit, f"{one.scale:g}") for one in found])
-    for guess in found:
-        if guess.question:
-            print(f"Check {guess.signal}: {guess.column!r} {guess.question}")
-    if others:
-        print("Not assigned:")
-        for column, why in others:
-            print(f"  {column!r}: {why}")
-        print(f"To use one of them, add to {output}: [SIGNAL], column = {others[0].column!r} and unit; signals without "
-              "a column are listed there.")
-    return 0
+
+    def words() -> None:
+        if sheet.remarks:
+            print(f"{source}: read with {', '.join(sheet.remarks)}.")
+        terminal.table(f"Map: {output}; check it, it is a guess", ("signal", "column", "unit", "scale"), [
+            (one.signal, one.column, one.unit, f"{one.scale:g}") for one in found])
+        for guess in found:
+            if guess.question:
+                print(f"Check {guess.signal}: {guess.column!r} {guess.question}")
+        if others:
+            print("Not assigned:")
+            for column, why in others:
+                print(f"  {column!r}: {why}")
+            print(f"To use one of them, add to {output}: [SIGNAL], column = {others[0].column!r} and unit; signals "
+                  "without a column are listed there.")
+
+    return CommandAnswer({"map": str(output), "read_as": sheet.remarks, "signals": {
+        one.signal: {"column": one.column, "unit": one.unit, "scale": one.scale, "question": one.question}
+        for one in found}, "not_assigned": {one.column: one.why for one in others}}, words)
 
 
 @app.command()
 def export(
-    trial: Trial, output: options.Output, mat73: Mat73 = False, overwrite: options.Overwrite = False,
+    trial: options.Trial, output: options.Output, mat73: Mat73 = False, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Write a trial as a table or a CAN log.
 
@@ -128,7 +114,6 @@ def export(
 
     Example: bowden export trial.mcap -o trial.csv
     """
-    from bowden import output_files
     from trial.convert.export import export as exported
     from trial.read import open_file
 
@@ -141,10 +126,8 @@ def export(
 @app.command()
 def compare(
     a: A, b: B = None, logbook: History = None, report: Page = None, everything: Everything = False,
-    controllers: Controllers = False, picture: Picture = None,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+    controllers: Controllers = False, picture: Picture = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
     """Compare two trials: their four figures, and the differences in five lines.
 
     Exit status 1 if any channel differs.  With --controllers: a sweep's controllers, the best first.  With --logbook:
@@ -153,45 +136,38 @@ def compare(
 
     Example: bowden compare a.mcap b.mcap --report compared.html
     """
-    from bowden import output_files
-    from parameters import InputError
     from trial.compare import compare as compared
     from trial.read import open as opened
+    from trial.report import compare_page
 
     if picture is not None and not controllers:
         raise InputError("--picture shows ranked controllers; give --controllers and the table of a sweep.")
     if controllers:
-        return _rank_controllers(a, b or logbook or report, picture, overwrite=overwrite, json=json)
+        return _rank_controllers(a, b or logbook or report, picture, overwrite=overwrite)
     if (b is None) == (logbook is None):
         raise NothingGivenError("A B | A --logbook DIR", "compare: expected a second trial or --logbook; give one.")
     if b is None:
-        return _against_history(a, logbook, report, json)
+        return _against_history(a, logbook, report)
     output_files.refuse([report], overwrite=overwrite, inputs=[a, b])
     output_files.refuse_ending(report, ".html", ".htm", what="a page")
-    from trial.report.compare_page import judged
-
-    with terminal.waiting("comparing", shown=not json):
+    with terminal.waiting("comparing"):
         one, other = opened(a), opened(b)
         found = compared(one, other)
         if report is not None:
-            from trial.report import compare_page
-
             compare_page.write(one, other, found, report, overwrite=overwrite)
-    if json:
-        terminal.emit(found.as_json())
-    else:
-        _four_figures(judged(one), judged(other))
+
+    def words() -> None:
+        _four_figures(compare_page.judged(one), compare_page.judged(other))
         _tell_everything(found) if everything else _tell(found)
-    if report is not None and not json:
-        print(f"Page: {report}")
-    return 0 if found.same else 1
+        if report is not None:
+            print(f"Page: {report}")
+
+    return CommandAnswer(found.as_json(), words, 0 if found.same else 1)
 
 
-def _rank_controllers(table: Path, other: Path | None, picture: Path | None, *, overwrite: bool, json: bool) -> int:
-    """Print the controllers of a sweep, the best first; 1 where trials of one did not complete."""
-    from bowden import output_files
+def _rank_controllers(table: Path, other: Path | None, picture: Path | None, *, overwrite: bool) -> CommandAnswer:
+    """Return the controllers of a sweep, the best first; status 1 where trials of one did not complete."""
     from bowden.sweep import controller_ranking
-    from parameters import InputError
 
     if other is not None:
         raise InputError(f"--controllers ranks those of one table; leave {other} out.")
@@ -201,9 +177,8 @@ def _rank_controllers(table: Path, other: Path | None, picture: Path | None, *, 
     found = controller_ranking.ranked(rows)
     if picture is not None:
         controller_ranking.draw(rows, picture)
-    if json:
-        terminal.emit({"table": str(table), "controllers": [one._asdict() for one in found]})
-    else:
+
+    def words() -> None:
         number = terminal.number
         terminal.table("controllers, by the median of END's error over their trials", (
             "controller", "completed", "error (%)", "least … worst", "idle (N)", "jump (N)"), [
@@ -214,33 +189,34 @@ def _rank_controllers(table: Path, other: Path | None, picture: Path | None, *, 
                 print(f"{one.controller}: {count} not completed: {reason}")
         if picture is not None:
             print(f"Picture: {picture}")
-    return 1 if any(one.completed < one.trials for one in found) else 0
+
+    return CommandAnswer({"table": str(table), "controllers": [one._asdict() for one in found]}, words,
+                         1 if any(one.completed < one.trials for one in found) else 0)
 
 
 RARE = 1e-3
 """Share of sessions without a change that depart as far as one that is marked: one session in a thousand."""
 
 
-def _against_history(trial: Path, logbook: Path | None, report: Path | None, json: bool) -> int:
-    """Compare one trial with its bench's history; return 1 if the trial departs from the history."""
+def _against_history(trial: Path, logbook: Path | None, report: Path | None) -> CommandAnswer:
+    """Compare one trial with its bench's history; status 1 if the trial departs from the history."""
     from bowden.models import logbook_entries
-    from parameters import InputError
 
     assert logbook is not None
     if report is not None:
         raise InputError("--report shows two trials; leave it out with --logbook, or say bowden logbook report.")
-    with terminal.waiting("fitting", shown=not json):
+    with terminal.waiting("fitting"):
         found = logbook_entries.against_history(logbook, trial)
-    if json:
-        terminal.emit(found)
-    else:
+
+    def words() -> None:
         rows = sorted(found["constants"].items(), key=lambda row: -abs(row[1]["scatters"]))
         terminal.table(f"{trial} against {found['sessions']} sessions, farthest first", (
             "constant", "departure", "over 1σ of sessions"), [
             (name, f"{row['departure']:.3g}" + (" (ln)" if row["form"] == "log" else f" {row['unit']}"),
              terminal.number(row["scatters"])) for name, row in rows[:10]])
         print(f"Probability that a healthy session departs as far: {found['probability']:.2g}.")
-    return 1 if found["probability"] < RARE else 0
+
+    return CommandAnswer(found, words, 1 if found["probability"] < RARE else 0)
 
 
 def _four_figures(a: Mapping[str, float | None], b: Mapping[str, float | None]) -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.terminal import CommandAnswer
+from parameters import InputError
 
 if TYPE_CHECKING:
     from trial.convert.contents import Contents
@@ -84,8 +87,6 @@ def cut(
 
     Example: bowden cut trial.mcap --from 2 --to 6 -o part.mcap
     """
-    from bowden import output_files
-    from parameters import InputError
     from trial import edit
 
     if from_ is None and to is None and gait is None:
@@ -100,8 +101,6 @@ def cut(
 
 
 def _span(gait: str | None) -> tuple[int, int] | None:
-    from parameters import InputError
-
     if gait is None:
         return None
     first, _, last = gait.partition("-")
@@ -121,7 +120,6 @@ def merge(
     Example: bowden cut trial.mcap --to 2 -o a.mcap && bowden cut trial.mcap --from 2 -o b.mcap &&
     bowden merge a.mcap b.mcap -o whole.mcap
     """
-    from bowden import output_files
     from trial import edit
 
     output_files.refuse([output], overwrite=overwrite, inputs=files)
@@ -147,13 +145,9 @@ def recover(
 
     Example: bowden recover torn.mcap -o whole.mcap
     """
-    from dataclasses import asdict
-
-    from bowden import output_files
     from trial.recover import recover as recovered
 
     output_files.refuse_ending(output, ".mcap", what="a recording")
-
     with terminal.progress(f"recovering {torn}") as update:
         found = recovered(torn, output, overwrite=overwrite, progress=update)
     return CommandAnswer({"trial": str(output), **asdict(found)}, (

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, SimulatedOptions, grouped
+from bowden.cli.option_groups import BusAlone, SimulatedOptions
+from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -32,7 +34,6 @@ TAKES = {
     "bus --nodes-only": BUS,
 }
 """Options by target of the replay; every other option is refused."""
-Recorded = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
 Onto = Annotated[str, typer.Option(metavar="WHERE", help="bus, controller or plant.", show_default=False)]
 Speed = Annotated[float, typer.Option(metavar="X", help="bus: speed, recorded time by playing time.")]
 Loop = Annotated[int, typer.Option("--loop", metavar="N", help="bus: number of passes.")]
@@ -53,37 +54,18 @@ Residuals = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE"
 
 
 @app.command()
-@grouped
 def replay(
-    context: typer.Context,
-    trial: Recorded,
-    onto: Onto,
-    speed: Speed = 1.0,
-    loop: Loop = 1,
-    from_: From = 0.0,
-    to: To = None,
-    step: Step = False,
-    node: Node = None,
-    cob_id: CobId = None,
-    direction: Direction = None,
-    map_: Map = None,
-    nodes_only: NodesOnly = False,
-    allow_controller: Allowed = None,
-    path: options.ForcePath = None,
-    *,
-    reached: Bus,
-    simulated: SimulatedOptions,
-    output: Residuals = None,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+    context: typer.Context, trial: options.Trial, onto: Onto, speed: Speed = 1.0, loop: Loop = 1, from_: From = 0.0,
+    to: To = None, step: Step = False, node: Node = None, cob_id: CobId = None, direction: Direction = None,
+    map_: Map = None, nodes_only: NodesOnly = False, allow_controller: Allowed = None, path: options.ForcePath = None,
+    *, reached: BusAlone, simulated: SimulatedOptions, output: Residuals = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
     """Replay a recorded trial.
 
     Its frames onto a bus, its inputs onto the controller, or its commands onto the simulated plant.
 
     Example: bowden replay trial.mcap --onto controller
     """
-    from bowden import output_files
     from bowden.bench import buses
     from bowden.replay import onto_bus, refuse_imported
     from bowden.replay.schedule import Selection
@@ -98,13 +80,13 @@ def replay(
     given = whole(opened(trial, path, whole=onto != "controller"))
     refuse_imported(given, onto)
     if onto == "controller":
-        return _controller(given, allow_controller, json=json)
+        return _controller(given, allow_controller)
     chosen = reached.chosen(simulated, always_simulated=onto == "plant")
     if onto == "plant":
-        return _plant(given, chosen, output, overwrite=overwrite, json=json)
+        return _plant(given, chosen, output, overwrite=overwrite)
     network = recorded.sections(given)["network"]
     if nodes_only:
-        return _nodes(given, chosen, reached.bitrate or network.bitrate, json=json)
+        return _nodes(given, chosen, reached.bitrate or network.bitrate)
     channels = onto_bus.channel_map(map_)
     selection = Selection(
         frozenset(node or ()), frozenset(map(_cob_id, cob_id or ())), direction, frozenset(channels), from_, to)
@@ -112,81 +94,84 @@ def replay(
             given, selection, buses.rated(chosen, reached.bitrate or network.bitrate, network), channels,
             speed=speed, loops=loop) as playing:
         if step:
-            _step(playing, shown=not json)
+            _step(playing)
         else:
-            with terminal.progress("replay", shown=not json) as update:
+            with terminal.progress("replay") as update:
                 playing.run(update)
-        return _played(given, playing.played(), json=json)
+        return _played(given, playing.played())
 
 
-def _controller(recorded: Trial, allowed: str | None, *, json: bool) -> int:
+def _controller(recorded: Trial, allowed: str | None) -> CommandAnswer:
     from bowden.replay import onto_controller
     from bowden.trials.recorded import experiment
 
     chosen = experiment(recorded, allowed=allowed)
-    with terminal.progress("controller", shown=not json) as update:
+    with terminal.progress("controller") as update:
         found = onto_controller.replay(recorded, chosen, update)
-    if json:
-        terminal.emit({"trial": str(recorded.path), "onto": "controller", **found.as_json()})
-        return 0 if found.same else 1
-    print(f"Controller {found.controller}: {found.rows} steps and {found.frames} frames of targets compared.")
-    if recorded.recovered is not None:
-        whole = onto_controller.whole_rows(recorded)
-        print(f"Recovered from a torn recording: {whole} control cycles survived whole, up to "
-              f"{float(recorded.columns['time_s'][whole - 1]):.3f} s; the comparison ends there.")
-    first = found.first
-    return _judged("The same, bit for bit.", None if first is None else (
-        f"row {first.row}, {first.time_s:.3f} s, gait cycle {first.cycle:g} at {first.gait_percent:.2f} %: "
-        f"{first.signal} was {first.recorded!r}, now {first.replayed!r}."), ("signal", "rows"), found.differing)
+
+    def words() -> None:
+        print(f"Controller {found.controller}: {found.rows} steps and {found.frames} frames of targets compared.")
+        if recorded.recovered is not None:
+            whole = onto_controller.whole_rows(recorded)
+            print(f"Recovered from a torn recording: {whole} control cycles survived whole, up to "
+                  f"{float(recorded.columns['time_s'][whole - 1]):.3f} s; the comparison ends there.")
+        first = found.first
+        _tell("The same, bit for bit.", None if first is None else (
+            f"row {first.row}, {first.time_s:.3f} s, gait cycle {first.cycle:g} at {first.gait_percent:.2f} %: "
+            f"{first.signal} was {first.recorded!r}, now {first.replayed!r}."), ("signal", "rows"), found.differing)
+
+    return CommandAnswer({"trial": str(recorded.path), "onto": "controller", **found.as_json()}, words,
+                         0 if found.same else 1)
 
 
-def _judged(same: str, first: str | None, counted: tuple[str, str], differing: Mapping[str, int]) -> int:
-    """Print that all was the `same`, or the `first` difference and the number of each kind; returns the exit status."""
+def _tell(same: str, first: str | None, counted: tuple[str, str], differing: Mapping[str, int]) -> None:
+    """Print that all was the `same`, or the `first` difference and the number of each kind."""
     if first is None:
         print(same)
-        return 0
+        return
     print(f"First difference: {first}")
     terminal.table(f"{counted[1]} that differ", counted, [(name, str(count)) for name, count in differing.items()])
-    return 1
 
 
-def _plant(recorded: Trial, chosen: BusSettings, output: Path | None, *, overwrite: bool, json: bool) -> int:
+def _plant(recorded: Trial, chosen: BusSettings, output: Path | None, *, overwrite: bool) -> CommandAnswer:
     from bowden.replay import onto_plant
 
-    found = onto_plant.replay(recorded, chosen, output, overwrite=overwrite,
-                              progress=terminal.Terminal(shown=not json))
-    if json:
-        terminal.emit({"trial": str(recorded.path), "onto": "plant", "serial": chosen.serial, **found.as_json()})
-        return 0 if found.same else 1
-    print(f"{len(found.time_ns)} control cycles, recorded − simulated:"
-          f" {'the same, bit for bit.' if found.same else 'they differ.'}")
-    terminal.table("residuals", ("signal", "unit", "rows", "RMS", "in the gait", "largest", "at (s)"), [
-        (name, row.unit, str(row.differing + row.one_sided), *(
-            f"{value:.3g}" for value in (row.rms, row.gait_rms, row.largest, row.largest_at_s)))
-        for name, row in found.figures.items()])
-    if output is not None:
-        print(f"Residuals: {output}")
-    return 0 if found.same else 1
+    found = onto_plant.replay(recorded, chosen, output, overwrite=overwrite, progress=terminal.Terminal())
+
+    def words() -> None:
+        print(f"{len(found.time_ns)} control cycles, recorded − simulated:"
+              f" {'the same, bit for bit.' if found.same else 'they differ.'}")
+        terminal.table("residuals", ("signal", "unit", "rows", "RMS", "in the gait", "largest", "at (s)"), [
+            (name, row.unit, str(row.differing + row.one_sided), *(
+                f"{value:.3g}" for value in (row.rms, row.gait_rms, row.largest, row.largest_at_s)))
+            for name, row in found.figures.items()])
+        if output is not None:
+            print(f"Residuals: {output}")
+
+    return CommandAnswer({"trial": str(recorded.path), "onto": "plant", "serial": chosen.serial, **found.as_json()},
+                         words, 0 if found.same else 1)
 
 
-def _nodes(recorded: Trial, chosen: BusSettings, bitrate: int, *, json: bool) -> int:
+def _nodes(recorded: Trial, chosen: BusSettings, bitrate: int) -> CommandAnswer:
     from bowden.replay import onto_master
 
-    found = onto_master.replay(recorded, chosen, bitrate, progress=terminal.Terminal(shown=not json))
-    if json:
-        terminal.emit({"trial": str(recorded.path), "onto": "bus", "nodes_only": True, **found.as_json()})
-        return 0 if found.same else 1
-    print(f"{found.frames} frames of the master compared, {found.beyond} after the recording's end; "
-          f"times differ by {found.timing_max_us:.1f} µs at most.")
-    first = found.first
-    return _judged("The same, byte for byte.", None if first is None else (
-        f"{first.cob_id:03X} number {first.number}, {first.time_s:.3f} s from the master's first frame: "
-        f"was {first.recorded}, now {first.live}."), ("COB-ID", "frames"), found.differing)
+    found = onto_master.replay(recorded, chosen, bitrate, progress=terminal.Terminal())
+
+    def words() -> None:
+        print(f"{found.frames} frames of the master compared, {found.beyond} after the recording's end; "
+              f"times differ by {found.timing_max_us:.1f} µs at most.")
+        first = found.first
+        _tell("The same, byte for byte.", None if first is None else (
+            f"{first.cob_id:03X} number {first.number}, {first.time_s:.3f} s from the master's first frame: "
+            f"was {first.recorded}, now {first.live}."), ("COB-ID", "frames"), found.differing)
+
+    return CommandAnswer({"trial": str(recorded.path), "onto": "bus", "nodes_only": True, **found.as_json()}, words,
+                         0 if found.same else 1)
 
 
-def _step(playing: Playing, *, shown: bool) -> None:
+def _step(playing: Playing) -> None:
     """Read one line of standard input at a time."""
-    if shown:
+    if not terminal.quiet():
         terminal.remark(HELP)
     for line in sys.stdin:
         word = line.strip()
@@ -199,7 +184,7 @@ def _step(playing: Playing, *, shown: bool) -> None:
             playing.seek(_position(word))
         else:
             frame = playing.step()
-            if shown and frame is not None:
+            if frame is not None and not terminal.quiet():
                 print(f"{playing.position_ns / 1e9:12.6f} s  {frame.can_id:03X}  {frame.data.hex(' ')}")
         if playing.ended:
             break
@@ -212,19 +197,19 @@ def _position(word: str) -> int:
         raise InputError(f"{word!r} is no command; {HELP}") from None
 
 
-def _played(recorded: Trial, played: Played, *, json: bool) -> int:
-    """Print the figures of a replay; return 1 if the bus refused some frames."""
-    result = played.as_json()
-    if json:
-        terminal.emit({"trial": str(recorded.path), "onto": "bus", **result})
-        return 1 if played.lost else 0
-    print(f"{played.frames} frames in {played.passes} passes, {played.lost} not taken by the bus; "
-          f"{played.restored} restored what was before.")
-    if played.lost:
-        terminal.remark(LOST)
-    terminal.table("lateness", ("figure", "µs"), [
-        (name, terminal.number(result[f"lateness_{name}_us"], 1)) for name in ("median", "p99", "max")])
-    return 1 if played.lost else 0
+def _played(recorded: Trial, played: Played) -> CommandAnswer:
+    """Return the figures of a replay; status 1 if the bus refused some frames."""
+    result = {"trial": str(recorded.path), "onto": "bus", **played.as_json()}
+
+    def words() -> None:
+        print(f"{played.frames} frames in {played.passes} passes, {played.lost} not taken by the bus; "
+              f"{played.restored} restored what was before.")
+        if played.lost:
+            terminal.remark(LOST)
+        terminal.table("lateness", ("figure", "µs"), [
+            (name, terminal.number(result[f"lateness_{name}_us"], 1)) for name in ("median", "p99", "max")])
+
+    return CommandAnswer(result, words, 1 if played.lost else 0)
 
 
 def _refuse_others(context: typer.Context, onto: str) -> None:

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
-import typer
-
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-
-Recorded = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
+from bowden.cli.terminal import CommandAnswer
 
 
 @app.command()
 def report(
-    trial: Recorded, output: options.Output, path: options.ForcePath = None, overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+    trial: options.Trial, output: options.Output, path: options.ForcePath = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
     """Write a trial as one offline HTML page.
 
     Figures, plots that zoom together, timing, bus load and events; of several force paths all, or one with --path.
@@ -30,9 +23,7 @@ def report(
 
     output_files.refuse([output], overwrite=overwrite, inputs=[trial])
     output_files.refuse_ending(output, ".html", ".htm", what="a page")
-    with terminal.waiting(f"reading {trial}", shown=not json):
+    with terminal.waiting(f"reading {trial}"):
         recorded = opened(trial, path, whole=True)
-    size = reports.write_trial_page(recorded, output, overwrite=overwrite,
-                                    progress=terminal.Terminal(shown=not json))
-    terminal.emit({"report": str(output), "bytes": size}) if json else print(f"{output}: {size / 1e6:.1f} MB.")
-    return 0
+    size = reports.write_trial_page(recorded, output, overwrite=overwrite, progress=terminal.Terminal())
+    return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {size / 1e6:.1f} MB.")

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+import math
+import statistics
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-
-if TYPE_CHECKING:
-    from bowden.sweep.rows import Row
-    from bowden.sweep.run import Workers
+from bowden.cli.terminal import CommandAnswer
+from parameters import InputError
 
 Grid = Annotated[list[str] | None, typer.Option("--grid", metavar="NAME=V,V…", help=(
     "Values of an option of bowden trial, or of table.key of bench.toml or of the plant; 1-20 for whole numbers. "
@@ -33,22 +33,11 @@ Table = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Tab
 
 @app.command()
 def sweep(
-    output: Table,
-    grid: Grid = None,
-    draw: Draw = None,
-    draws: Draws = 1,
-    draw_seed: DrawSeed = 0,
-    identify: Identify = False,
-    calibration: options.Calibration = None,
-    knee: options.Knee = None,
-    desired: options.Desired = None,
-    config: options.Config = None,
-    keep: Keep = None,
-    workers: Workers_ = None,
-    scheduler: Scheduler = None,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+    output: Table, grid: Grid = None, draw: Draw = None, draws: Draws = 1, draw_seed: DrawSeed = 0,
+    identify: Identify = False, calibration: options.Calibration = None, knee: options.Knee = None,
+    desired: options.Desired = None, config: options.Config = None, keep: Keep = None, workers: Workers_ = None,
+    scheduler: Scheduler = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
     """Run trials over grids and random draws of any value. One row a trial; a partial table is continued.
 
     Example: bowden sweep --grid peak=40,50,60 --grid serial=1-20 --identify --grid day=1 -o table.csv
@@ -56,31 +45,56 @@ def sweep(
     from bowden.bench import configuration
     from bowden.sweep import rows as sweep_rows
     from bowden.sweep import run as sweep_run
-    from bowden.sweep.sweep_table import SweepTable as Growing
+    from bowden.sweep.sweep_table import SweepTable
+    from bowden.trials import provenance, session
 
     if draws < 1 or draw_seed < 0 or (workers is not None and workers < 1):
         raise typer.BadParameter("--draws and --workers are whole numbers from 1, --draw-seed from 0")
+    if identify and calibration is not None:
+        raise InputError("--identify measures the calibration that --calibration gives; leave one of them out.")
     axes = [sweep_rows.axis(text) for text in grid or ()]
+    fixed = {"files.calibration": sweep_rows.IDENTIFIED if identify else calibration, "files.knee": knee,
+             "files.desired": desired}
     rows = sweep_rows.rows(
-        configuration.read(config), _fixed(identify, calibration, knee, desired), axes,
+        configuration.read(config), {name: str(value) for name, value in fixed.items() if value is not None}, axes,
         [sweep_rows.draw(text) for text in draw or ()], draws, draw_seed)
-    _keeping(keep)
-    with Growing(output, list(rows[0]), overwrite=overwrite) as table:
+    if keep is not None and not keep.is_dir():
+        raise InputError(f"--keep {keep}: is no directory; make it first.")
+    with SweepTable(output, list(rows[0]), overwrite=overwrite) as table:
         resumed = sum(table.found(row) is not None for row in rows)
-        _say_resumed(table, resumed, len(rows))
-        with _crew(scheduler, workers, quiet=json, idle=resumed == len(rows)) as crew:
-            _run(rows, table, crew, sweep_run.calibrations_beside(output, overwrite), keep, quiet=json)
+        if resumed:
+            terminal.remark(f"{table.path}: {resumed} of {len(rows)} trials are there from before.")
+            if table.commits - {provenance.commit()}:
+                terminal.remark("some of them are by another commit; --overwrite makes them again.")
+        if resumed == len(rows):
+            sweep_run.calibrations_beside(output, overwrite)
+            table.finish(rows)
+        else:
+            if scheduler is None:
+                session.compile_laws(simulated=True, progress=terminal.Terminal())
+            with sweep_run.workers_of(scheduler, workers) as crew, terminal.progress("sweep") as update:
+                try:
+                    sweep_run.sweep(rows, table, crew, sweep_run.calibrations_beside(output, overwrite),
+                                    keep=None if keep is None else str(keep.resolve()), update=update)
+                except KeyboardInterrupt:
+                    terminal.remark(f"{table.growing}: keeps the trials that are done; the same command goes on from "
+                                    "there.")
+                    raise
         found = [table.found(row) or {} for row in rows]
     cells = _cells(found, [name for name, _ in axes])
     failed = sum(row["outcome"] != "completed" for row in found)
-    result = {"table": str(output), "trials": len(rows), "resumed": resumed, "not_completed": failed}
-    if json:
-        terminal.emit(result | {"figures": _summary(found), "cells": cells})
-    else:
-        _tell(found)
+    figures = _summary(found)
+
+    def words() -> None:
+        if figures:
+            terminal.table("over the trials that completed", ("figure", "median", "least", "greatest", "in row"), [
+                (FIGURES[name], *(terminal.number(one[key]) for key in ("median", "least", "greatest")),
+                 str(one["worst_row"])) for name, one in figures.items()])
         _tell_cells(cells)
         print(f"{output}: {len(rows)} trials, {resumed} of them from before, {failed} not completed.")
-    return 1 if failed else 0
+
+    return CommandAnswer({"table": str(output), "trials": len(rows), "resumed": resumed, "not_completed": failed,
+                          "figures": figures, "cells": cells}, words, 1 if failed else 0)
 
 
 FIGURES = {
@@ -92,9 +106,6 @@ FIGURES = {
 
 def _summary(found: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Of each figure over the trials that completed: median, least, greatest, and the number of the worst row."""
-    import math
-    import statistics
-
     told = {}
     for name in FIGURES:
         values = {number: float(row[name]) for number, row in enumerate(found, start=1)
@@ -107,14 +118,6 @@ def _summary(found: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     return told
 
 
-def _tell(found: Sequence[Mapping[str, Any]]) -> None:
-    told = _summary(found)
-    if told:
-        terminal.table("over the trials that completed", ("figure", "median", "least", "greatest", "in row"), [
-            (FIGURES[name], *(terminal.number(one[key]) for key in ("median", "least", "greatest")),
-             str(one["worst_row"])) for name, one in told.items()])
-
-
 REPEATED = ("bench.serial", "bench.day", "bench.seed")
 """Axes over which a cell of the grid is repeated: other benches, sessions and noise."""
 MOST_CELLS = 200
@@ -122,9 +125,6 @@ MOST_CELLS = 200
 
 def _cells(found: Sequence[Mapping[str, Any]], axes: Sequence[str]) -> list[dict[str, Any]]:
     """Return a row for each cell of the grid: its values, trials, medians of the figures, and reasons of stops."""
-    import statistics
-    from collections import Counter
-
     names = [name for name in axes if name not in REPEATED and len({str(row.get(name)) for row in found}) > 1]
     gathered: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
     for row in found:
@@ -156,60 +156,3 @@ def _tell_cells(cells: Sequence[Mapping[str, Any]]) -> None:
             print(f"    {count} not completed: {reason}")
     if len(cells) > MOST_CELLS:
         print(f"  and {len(cells) - MOST_CELLS} more cells, in the table.")
-
-
-def _fixed(identify: bool, calibration: Path | None, knee: Path | None, desired: Path | None) -> dict[str, Any]:
-    from bowden.sweep.rows import IDENTIFIED
-    from parameters import InputError
-
-    if identify and calibration is not None:
-        raise InputError("--identify measures the calibration that --calibration gives; leave one of them out.")
-    given = {"files.calibration": IDENTIFIED if identify else calibration, "files.knee": knee, "files.desired": desired}
-    return {name: str(value) for name, value in given.items() if value is not None}
-
-
-def _keeping(keep: Path | None) -> None:
-    from parameters import InputError
-
-    if keep is not None and not keep.is_dir():
-        raise InputError(f"--keep {keep}: is no directory; make it first.")
-
-
-def _say_resumed(table: Any, resumed: int, total: int) -> None:
-    from bowden.trials import provenance
-
-    if resumed:
-        terminal.remark(f"{table.path}: {resumed} of {total} trials are there from before.")
-        if table.commits - {provenance.commit()}:
-            terminal.remark("some of them are by another commit; --overwrite makes them again.")
-
-
-@contextlib.contextmanager
-def _crew(
-    scheduler: str | None, workers: int | None, *, quiet: bool, idle: bool
-) -> Iterator[Workers | None]:
-    """Workers of the sweep, local or of a scheduler; None if no trial remains to be run."""
-    from bowden.sweep import run as sweep_run
-    from bowden.trials import session
-
-    if idle:
-        yield None
-        return
-    if scheduler is None:
-        session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not quiet))
-    with sweep_run.workers_of(scheduler, workers) as crew:
-        yield crew
-
-
-def _run(rows: list[Row], table: Any, crew: Workers | None, folder: Path, keep: Path | None, *, quiet: bool) -> None:
-    from bowden.sweep.run import sweep as run
-
-    if crew is None:
-        table.finish(rows)
-        return
-    with terminal.progress("sweep", shown=not quiet) as update:
-        try:
-            run(rows, table, crew, folder, keep=None if keep is None else str(keep.resolve()), update=update)
-        except KeyboardInterrupt:
-            terminal.remark(f"{table.growing}: keeps the trials that are done; the same command goes on from there.")
-            raise

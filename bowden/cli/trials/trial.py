@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bowden.cli import options, terminal
+from bowden import output_files
+from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, grouped
+from bowden.cli.option_groups import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions
+from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
@@ -25,33 +27,15 @@ Web = Annotated[str | None, typer.Option(
 
 
 @app.command()
-@grouped
 def trial(
-    output: options.Output,
-    walk: WalkOptions,
-    strides: StrideOptions,
-    knee: options.Knee = None,
-    desired: options.Desired = None,
-    calibration: options.Calibration = None,
-    controller_model: options.ControllerModel = None,
-    experiment: options.Script = None,
-    motion_of: options.MotionOf = None,
-    dry_run: options.DryRun = False,
-    homing_n: options.HomingForce = None,
-    *,
-    rate: options.Rate = None,
-    simulated: SimulatedOptions,
-    reached: Bus,
-    config: options.Config = None,
-    monitor: options.SafetyMonitor = None,
-    picture: options.Picture = None,
-    web: Web = None,
-    logbook: options.Logbook = None,
-    label: options.Session = None,
-    watched: WatchOptions,
-    overwrite: options.Overwrite = False,
-    json: options.Json = False,
-) -> int:
+    output: options.Output, walk: WalkOptions, strides: StrideOptions, knee: options.Knee = None,
+    desired: options.Desired = None, calibration: options.Calibration = None,
+    controller_model: options.ControllerModel = None, experiment: options.Script = None,
+    motion_of: options.MotionOf = None, dry_run: options.DryRun = False, homing_n: options.HomingForce = None, *,
+    rate: options.Rate = None, simulated: SimulatedOptions, reached: Bus, monitor: options.SafetyMonitor = None,
+    picture: options.Picture = None, web: Web = None, logbook: options.Logbook = None, label: options.Session = None,
+    watched: WatchOptions, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
     """Run one experiment and record it.
 
     --web shows it while it runs, with a button for the safe stop; the address goes to stderr. --watch diagnoses it
@@ -59,9 +43,7 @@ def trial(
 
     Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
-    from bowden import output_files
     from bowden.bench import configuration, light_can
-    from bowden.cli import ending
     from bowden.trials import provenance, repeated_motion, session
 
     light_can.load()
@@ -69,13 +51,13 @@ def trial(
     output_files.refuse_picture(picture)
     own = {"--knee": knee, "--desired": desired, "--calibration": calibration, "--controller-model": controller_model}
     output_files.refuse([output, picture], overwrite=overwrite, inputs=[
-        *own.values(), config, simulated.plant_model, motion_of])
+        *own.values(), reached.config, simulated.plant_model, motion_of])
     repeated_motion.refuse_beside(motion_of, experiment, {
         **own, **walk.given(), "--dry-run": dry_run or None, "--homing-n": homing_n})
-    sections = reached.sections(config, rate)
+    sections = reached.sections(rate)
     sections["network"] = configuration.with_monitor(sections["network"], monitor)
     sections["homing"] = configuration.homing(sections["homing"], homing_n)
-    entered = session.entered(sections, logbook, config)
+    entered = session.entered(sections, logbook, reached.config)
     desired = session.desired_file(desired)
     bench = watched.bench(entered)
     chosen = reached.chosen(simulated)
@@ -91,17 +73,17 @@ def trial(
                                    files=provenance.curves(knee=knee, desired=desired))
         for note in notes:
             terminal.remark(note)
-    with (_watches(bench, output, sections["network"], chosen, json) as watches,
+    with (_watches(bench, output, sections["network"], chosen) as watches,
           _page(web, output.name, sections["network"]) as page):
         if page is not None:
             for watch in watches.values():
                 watch.show = page.suspected
         result = session.perform(
-            prepared, output, picture, overwrite=overwrite, announce="" if json else _where(chosen),
-            progress=terminal.Terminal(shown=not json and not watches),
+            prepared, output, picture, overwrite=overwrite, announce="" if terminal.quiet() else _where(chosen),
+            progress=terminal.Terminal(shown=not watches),
             watch=[*([] if page is None else [page]), *watches.values()])
         for watch in watches.values():
-            with terminal.waiting("diagnosing the whole trial", shown=not json):
+            with terminal.waiting("diagnosing the whole trial"):
                 watch.conclude()
         if watches:
             found = {path: watch.as_json() for path, watch in watches.items()}
@@ -109,22 +91,24 @@ def trial(
     if entered is not None and result["trial"] is not None:
         from bowden.models import logbook_entries
 
-        with terminal.waiting("entering the trial in the logbook", shown=not json):
+        with terminal.waiting("entering the trial in the logbook"):
             result["logbook"] = logbook_entries.entered(
                 entered, Path(result["trial"]), logbook_entries.label(label, chosen), result)
-    if json:
-        terminal.emit(result)
-    elif result["trial"] is None:
-        print(f"Stopped before the first control cycle, {chosen.told}: {result['stop_reason']}; nothing was recorded.")
-    else:
-        if "watch" in result:
-            for path, found in result["watch"].get("paths", {"": result["watch"]}).items():
-                _show_watch(path, found)
+
+    def words() -> None:
+        if result["trial"] is None:
+            print(f"Stopped before the first control cycle, {chosen.told}: {result['stop_reason']}; nothing was "
+                  "recorded.")
+            return
+        for path, watch in result.get("watch", {}).get("paths", {"": result.get("watch")}).items():
+            if watch is not None:
+                _show_watch(path, watch)
         _show(result, Path(result["trial"]), picture, chosen.told, dry_run=dry_run,
               with_end=sections["network"].bench.measures_end)
         if "logbook" in result:
             print(f"Logbook: {entered}, trial {result['logbook']['trial']}, session {result['logbook']['session']}")
-    return ending.status_of(result["outcome"], result["stop_reason"])
+
+    return CommandAnswer(result, words, ending.status_of(result["outcome"], result["stop_reason"]))
 
 
 def _where(chosen: BusSettings) -> str:
@@ -145,7 +129,7 @@ def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[Tr
 
 
 @contextmanager
-def _watches(bench: WatchedBench | None, output: Path, network: Any, chosen: BusSettings, json: bool
+def _watches(bench: WatchedBench | None, output: Path, network: Any, chosen: BusSettings
              ) -> Iterator[dict[str, TrialWatch]]:
     """Yield the watch of each force path of the trial, each in a separate process; none without --watch."""
     if bench is None:
@@ -156,7 +140,7 @@ def _watches(bench: WatchedBench | None, output: Path, network: Any, chosen: Bus
 
     with ExitStack() as stack:
         yield {path: stack.enter_context(watch_process.beside(
-            output, replace(bench, path=path or None), place, paced=chosen.simulated, shown=not json))
+            output, replace(bench, path=path or None), place, paced=chosen.simulated, shown=not terminal.quiet()))
             for path, place in zip(network.bench.path_prefixes, places(network, ("cycle",)), strict=True)}
 
 
