@@ -3,8 +3,6 @@
 `TRANSITIONS` alone holds which state follows which; all behaviour is derived from it.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from enum import Enum, IntEnum, IntFlag
 from types import MappingProxyType

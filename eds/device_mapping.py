@@ -4,8 +4,6 @@ The bench names parts (position, target, torque …); a mapping names the object
 defaults are the profile's objects, whose units the device declares.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple

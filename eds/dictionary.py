@@ -4,8 +4,6 @@ The reader survives vendors' files: unreadable entries are left out and never gu
 that reports them.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field

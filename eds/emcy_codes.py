@@ -3,8 +3,6 @@
 The rule of this file: tables only; a profile's table counts for devices of that profile, a manufacturer's for its EDS.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final

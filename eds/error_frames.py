@@ -4,8 +4,6 @@ The bits are those of linux/can/error.h. The class is in the identifier; byte 1 
 protocol violation, byte 3 its place, bytes 6 and 7 the transmit and receive error counters (ISO 11898-1, 12.1.4).
 """
 
-from __future__ import annotations
-
 from typing import Final, NamedTuple
 
 TX_TIMEOUT: Final = 0x001

@@ -4,8 +4,6 @@ The rule of this file: what can be known before the first frame is worked out be
 Byte-aligned mappings become one `struct.Struct`; the rest (BOOLEAN bits, 24-bit integers) go bit by bit.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple

@@ -4,8 +4,6 @@ Tables, one per profile, in the profile's own order; `eds.files.check` reads the
 [m]`: `.*` means every sub-index from 1, `m` mandatory.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import MappingProxyType

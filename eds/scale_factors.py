@@ -4,8 +4,6 @@ No scale is written down twice. A plan's factors come from 0x608F, 0x6091, 0x609
 0x6132 of the dictionary, whoever made the device.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Final

@@ -6,8 +6,6 @@ Start reading in `nodes.core.device`: one device from frames in to frames out; `
 profiles.
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import TYPE_CHECKING, Any
 

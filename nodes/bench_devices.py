@@ -1,7 +1,5 @@
 """The devices of a declared bench: each declared type with the application behind it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final

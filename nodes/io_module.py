@@ -4,8 +4,6 @@ Digital bytes 0x6200 → 0x6000 and analogue 16-bit values 0x6411 → 0x6401, su
 sets the outputs as 0x6206, 0x6207, 0x6443 and 0x6444 select.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from eds.cia301 import Emcy, NmtState

@@ -6,8 +6,6 @@ recording. So a master may start at any time, and receives the recorded answers 
 commands.
 """
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from collections.abc import Sequence
 from heapq import heappop, heappush

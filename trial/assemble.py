@@ -4,8 +4,6 @@ The rule of this file: frames, cycles and events go through the recorder in wind
 in bulk is laid out as a recorded one is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise

@@ -4,8 +4,6 @@ Signals are compared row by row if both trials have the same rows, else at the s
 `matched` names which. Differences are A minus B, and whatever only one trial has is listed.
 """
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections.abc import Mapping

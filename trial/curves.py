@@ -5,8 +5,6 @@ Each row is used, bridged and counted, or refused with its number; nothing is sm
 encoding are detected.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

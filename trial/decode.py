@@ -5,8 +5,6 @@ values that did not arrive in a cycle are NaN. Nothing is held over and nothing 
 to signals; `cycles` decodes a log by it, and `trial.follow.Follower` a bus, frame by frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 

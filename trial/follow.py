@@ -4,8 +4,6 @@ The rule of this file: the rows that `decode.cycles` gives for the same frames, 
 one SYNC and is given out when the next SYNC ends it; what did not come is NaN.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

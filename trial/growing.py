@@ -4,8 +4,6 @@ Only complete records count, and each is read once; bytes behind the last comple
 has grown.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Zero-phase low-pass of the published figures, without SciPy, whose import takes longer than a short trial."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

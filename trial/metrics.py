@@ -6,8 +6,6 @@ the idle and jump figures it is low-passed first: Butterworth of second order at
 phase, −6 dB at 20 Hz); true END never is.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass

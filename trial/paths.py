@@ -4,8 +4,6 @@ Columns `<path>.<name>`, attachments `<path>.<file>` and metadata `<path>.<key>`
 prefix hold for every path. So any reader of trials can read one path, without code for benches of several.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeVar

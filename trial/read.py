@@ -4,8 +4,6 @@ Bytes become numbers in bulk, a chunk at a time, and every number is returned un
 Reading by block needs the same memory for a minute as for an hour.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping

@@ -6,8 +6,6 @@ With `threaded=True` another thread writes; if the bus has been silent for 100 m
 rows. With False (virtual time) rows are written in place.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

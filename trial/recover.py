@@ -5,8 +5,6 @@ Data that do not match their checksum are left out and counted, never mended. Th
 back, a chunk at a time.
 """
 
-from __future__ import annotations
-
 import mmap
 from dataclasses import dataclass
 from pathlib import Path

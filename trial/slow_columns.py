@@ -4,8 +4,6 @@ Such a column has empty cells in most rows. A line between two known values repl
 clock stays unknown.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -6,8 +6,6 @@ holds the error of the phase as well.  END is true END where it is known, else t
 `trial.metrics`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ The rule of this file: whoever judges a simulated bench may open it; master and 
 by themselves, may not import it.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from trial.read import TrialFile, open_file

@@ -3,8 +3,6 @@
 The parts of a bench are chosen here, by name; the bus has no access to them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

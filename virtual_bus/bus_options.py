@@ -3,8 +3,6 @@
 An option may be text, from `can.conf` or a command line, or a value.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import typing
 from collections.abc import Mapping, Sequence

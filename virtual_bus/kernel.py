@@ -4,8 +4,6 @@ The rule of this file: everything that happens on the virtual bus happens in a c
 heap, in the order (time, priority, serial number), in the thread of whoever waits.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Container, Iterable, Sized
 from heapq import heapify, heappop, heappush

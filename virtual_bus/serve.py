@@ -4,8 +4,6 @@ The bench's own time follows a clock that is handed in. Due events run in their 
 frame reaches a device; waiting is receiving.
 """
 
-from __future__ import annotations
-
 import errno
 from collections import deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The command line, one file a command: each parses its options, calls the library and prints."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

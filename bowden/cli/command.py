@@ -3,8 +3,6 @@
 Arguments are shown as words (`TRIAL`, `[TRIAL]`, `TRIAL...`), without the type behind them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final, TypeVar

@@ -4,8 +4,6 @@ SIGTERM and SIGHUP act as Ctrl-C would at that moment, so a trial stops safely a
 status is 128 and the signal's number.
 """
 
-from __future__ import annotations
-
 import math
 import signal
 import sys

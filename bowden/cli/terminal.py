@@ -1,7 +1,5 @@
 """Output of a command: one JSON object or a table on stdout, progress and remarks on stderr."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys

@@ -3,8 +3,6 @@
 The trial's recorder comes first and receives everything, whatever happens to the page.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence

@@ -4,8 +4,6 @@ The control thread packs its records and sends them without waiting: records tha
 there, never in the recording. The page's process answers requests; only the stop button's request comes back.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import multiprocessing

@@ -4,8 +4,6 @@ The functions for the control thread (`frame`, `cycle`, `event`) only append to 
 decodes and discards. Times are those of the bus, ages those of the clock that is handed in.
 """
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence

@@ -3,8 +3,6 @@
 The page's threads only change the playback, under the lock; messages are added by `look` alone.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from typing import Final

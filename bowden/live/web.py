@@ -5,8 +5,6 @@ Origin are checked (a page of another site, or a name that points here, gets not
 address carries a random token. A stop needs the token and the page's own origin, always.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hmac
 import ipaddress

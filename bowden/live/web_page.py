@@ -3,8 +3,6 @@
 The rule of this file: script, style and the plot library are in the page; what changes comes by the stream.
 """
 
-from __future__ import annotations
-
 import json
 from importlib import resources
 

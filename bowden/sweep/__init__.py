@@ -5,8 +5,6 @@
 `over` is the public name of this package; its imports wait until the call.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 

@@ -4,8 +4,6 @@ A controller whose trials stopped ranks behind every one whose trials completed;
 trials that completed, the true END's if the sweep has it.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections import Counter

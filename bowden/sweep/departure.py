@@ -3,8 +3,6 @@
 Only the knee's motion departs; the desired force and its time remain the reference's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

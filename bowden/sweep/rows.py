@@ -4,8 +4,6 @@ A row names every parameter as "table.key", with a value of its declared type, a
 declaration; two equal rows are the same trial.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import itertools

@@ -3,8 +3,6 @@
 `run_all` uses `concurrent.futures.Executor` only, whether processes of this machine or a Dask cluster run the jobs.
 """
 
-from __future__ import annotations
-
 import importlib
 import itertools
 import os

@@ -9,8 +9,6 @@ that has begun. The chain holds for the sustained traffic. An EMCY or an SDO in 
 deadline, which the master counts as a miss; `responses` gives the worst lateness.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A separate module, because the master uses it and two buses that do not import e
 bus (`virtual_bus.compiled.compiled_cycles`) and the kernel's CAN (`master.network.kernel_cycles`).
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple, Protocol
 
 

@@ -3,8 +3,6 @@
 All wire settings that a user may change are declared here, and nowhere else.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from eds.declaration import DeclaredBench, packaged

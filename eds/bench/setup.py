@@ -4,8 +4,6 @@ The rule of this file: the order is the standard's. A PDO is invalid while its m
 empty while its entries change (CiA 301, 7.5.2.36 and 7.5.2.38), and unused PDOs end invalid.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final

@@ -3,8 +3,6 @@
 Values come from the code; this module adds only the sentences between them.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 Unknown entries are kept: a file that is read and written again has the same content. Comments are not content.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

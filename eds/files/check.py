@@ -5,8 +5,6 @@ The searches are in `check_sections` (sections and keys), `check_pdos` (maps and
 (objects against their profile).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 These faults would otherwise appear only when the device refuses a write, or when two frames collide.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from typing import Final

@@ -3,8 +3,6 @@
 The rule of this file: every demand comes from a table in `eds.profiles`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final
 

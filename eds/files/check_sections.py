@@ -3,8 +3,6 @@
 One search per kind of fault; no profile is needed here.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from typing import Final

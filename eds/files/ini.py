@@ -5,8 +5,6 @@ case, sections and keys twice: all are kept, in order, and the first of two is t
 in the Windows profile functions that EDS tools grew up with.
 """
 
-from __future__ import annotations
-
 import codecs
 from collections.abc import Iterator
 from pathlib import Path

@@ -3,8 +3,6 @@
 Every notation met in the field is read, nothing is guessed; text that is not a number gives None.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Final
 

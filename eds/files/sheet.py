@@ -3,8 +3,6 @@
 The rule of this file: a finding is a value, and only `EdsSheet.finding` makes one, so that each has its place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Every method is optional and does nothing here; the core calls them, the profile decides.
 """
 
-from __future__ import annotations
-
 from eds.cia301 import Emcy, NmtState
 from eds.datatype import Value
 from nodes.core.interfaces import ProfileHost

@@ -4,8 +4,6 @@ The rule of this file: an identifier changes only while its object does not exis
 reserves or that this device already uses.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from eds.cia301 import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, Abort

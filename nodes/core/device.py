@@ -4,8 +4,6 @@ This module joins the parts and implements no protocol itself. The NMT state det
 a service that the state forbids cannot be reached.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 A refusal is an SDO abort code, never an exception; every entry of `values` can be encoded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final

@@ -3,8 +3,6 @@
 A part reaches other parts only through its device.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from typing import Final
 

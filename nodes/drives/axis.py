@@ -3,8 +3,6 @@
 The rule of this file: every object is turned into SI here, once, when it is written; nothing is converted at a tick.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from functools import partial

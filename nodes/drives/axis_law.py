@@ -5,8 +5,6 @@ drum, or radians at the knee); the loops are those of `physics.drive_loops`. num
 imported module, so that module's digest is a constant of the compiled functions.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from pathlib import Path

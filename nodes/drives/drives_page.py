@@ -3,8 +3,6 @@
 The tables are printed between markers; the sentences around them are written by hand and kept.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

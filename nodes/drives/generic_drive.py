@@ -5,8 +5,6 @@ position units, velocities in position units per second, torques in ‰ of the r
 have the defaults below. `nodes.Drive` has control loops, units and mechanics, and needs the EDS of this project.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -3,8 +3,6 @@
 One table gives the three bits of each phase; a phase changes only here.
 """
 
-from __future__ import annotations
-
 from enum import Enum
 from typing import Final
 

@@ -4,8 +4,6 @@ The rule of this file: a set-point reaches the axis only while its mode is open,
 target that stood in an object before the drive was enabled moves nothing.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

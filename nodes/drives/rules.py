@@ -3,8 +3,6 @@
 A rule reads the value and the objects as they are, and returns 0 or an abort code.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final, Protocol

@@ -4,8 +4,6 @@ START's tension comes straight from the bus (0x2011), and its limits override ev
 unwinds, above 0x2013 the drive faults, and without a trusted tension the torque is bounded by 0x2015.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -3,8 +3,6 @@
 Compiled functions over the arrays of `nodes.drives.axis_law`; the caller decides whether a set-point is accepted.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final, NamedTuple
 

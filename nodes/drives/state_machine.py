@@ -4,8 +4,6 @@ The state changes only in `_take`, by a row of the table; further conditions and
 `ACTIONS`, by the row's number.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple

@@ -5,8 +5,6 @@ looked up at a sample. Sums are of whole numbers below 2⁵³, so subtracting a 
 exact.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

@@ -3,8 +3,6 @@
 The rule of this file: it names the filters; what they do is `nodes.sensors.channel_law`'s.
 """
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 

@@ -1,7 +1,5 @@
 """A joint encoder (CiA 406): the joint's angle in counts of a revolution, with direction and preset."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -3,8 +3,6 @@
 The rule of this file: pure functions; a line that cannot be drawn is refused, never guessed.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, NamedTuple
 

@@ -4,8 +4,6 @@ The rule of this file: a value that cannot be trusted never looks like one that 
 REAL32), with its status bit and an EMCY.
 """
 
-from __future__ import annotations
-
 import math
 from types import MappingProxyType
 from typing import Any, Final

@@ -6,8 +6,6 @@ refused. Format: `candump -L` of can-utils. A remote frame carries its DLC; `R` 
 is read, too, if its lines have time stamps.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple

@@ -4,8 +4,6 @@ The rule of this file: a stamp is changed only where it cannot be right, and eve
 functions over int64 nanoseconds.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Nothing is converted and nothing judged; a property that the file does not state equals None.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

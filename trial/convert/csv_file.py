@@ -5,8 +5,6 @@ the caller gives (`Dialect`) are not questioned. Rows are counted as an editor c
 imports, curves and the diagnosis read through this module.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import re

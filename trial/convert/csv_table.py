@@ -5,8 +5,6 @@ columns are left out and named. An empty cell or NaN is an unknown value; a cell
 its row.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

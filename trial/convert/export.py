@@ -4,8 +4,6 @@ The rule of this file: a file appears under its name only when it is whole; a co
 left out, an unknown value is an empty cell, and every number reads back as the same float.
 """
 
-from __future__ import annotations
-
 import gzip
 import importlib
 import struct

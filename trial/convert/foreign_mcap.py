@@ -4,8 +4,6 @@ A topic is read by its schema: `can_msgs/msg/Frame` in CDR, or a stamp and float
 out and named. `bowden recover` handles files without a summary.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass

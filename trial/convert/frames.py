@@ -3,8 +3,6 @@
 Frames are a structured array of `cdr.FRAME_ROW`, in the order of the log; anomalies are counted under a name.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field

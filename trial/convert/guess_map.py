@@ -5,8 +5,6 @@ an unsupported unit is not assigned. Every column that is not assigned is listed
 German, French, Spanish and romanised Chinese laboratories are recognised.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

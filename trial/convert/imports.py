@@ -4,8 +4,6 @@ Everything dropped or changed is counted; the counts go into the trial's result 
 docs/trials.md lists repairs and refusals.
 """
 
-from __future__ import annotations
-
 import os
 import zlib
 from collections.abc import Callable, Iterator, Mapping

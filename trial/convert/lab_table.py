@@ -4,8 +4,6 @@ A column is numeric or not; a fault in a column is an error only if that column 
 an editor, or the program that wrote the file, gives it.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence

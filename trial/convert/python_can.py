@@ -5,8 +5,6 @@ itself only where a CAN log of python-can's formats is asked for.  Times stay in
 message read from a trial carries `time_ns` beside python-can's seconds.
 """
 
-from __future__ import annotations
-
 import gzip
 import io
 import os

@@ -4,8 +4,6 @@ A format's library is imported when such a file is read; if it is absent, the er
 Columns that are not numeric are left out and counted.
 """
 
-from __future__ import annotations
-
 import csv
 import datetime
 import importlib

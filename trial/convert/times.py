@@ -4,8 +4,6 @@ A date is accepted only if it is unambiguous (ISO 8601, year first, or day.month
 April, so it is refused.
 """
 
-from __future__ import annotations
-
 import datetime
 import re
 from collections.abc import Container, Sequence

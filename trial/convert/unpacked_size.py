@@ -4,8 +4,6 @@ A file of a few kilobytes can declare arrays of gigabytes: dimensions without va
 Each function reads declarations only, and raises `InputError` above the limit of the file.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import zipfile

@@ -5,8 +5,6 @@ two together: it decodes with a CDR reader that has the schema only. A dtype her
 opcode to payload.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from typing import Any

@@ -4,8 +4,6 @@ The rule of this file: every record goes through `_write`, which keeps position 
 is readable up to the last whole record at any moment.  Format: the MCAP specification, version 0.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Mapping

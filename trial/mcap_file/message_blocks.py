@@ -4,8 +4,6 @@ The rule of this file: a block is flat memory of one topic, filled by one thread
 `count` belongs to the thread that fills it and rises only after its row is whole, `taken` to the writer.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple, cast
 
 import numpy as np

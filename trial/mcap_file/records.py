@@ -5,8 +5,6 @@ beyond its stated, bounded size. A record that ends too early raises `CutError`,
 caller adds the file's name.
 """
 
-from __future__ import annotations
-
 import mmap
 import struct
 import zlib

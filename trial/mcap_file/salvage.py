@@ -4,8 +4,6 @@ Bytes are accepted if records follow one another or a checksum holds; after malf
 next chunk. Nothing here writes.
 """
 
-from __future__ import annotations
-
 import mmap
 import zlib
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ The rule of this file: offsets and sizes in the summary are checked against the 
 whatever does not hold raises `InputError` with the file's name, the reason and what to do.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Iterable, Iterator

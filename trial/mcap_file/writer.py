@@ -4,8 +4,6 @@ The rule of this file: blocks are written in the order they were handed over; wh
 recording with the file closed and whole up to its last record, and the reason kept for the control thread.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import queue

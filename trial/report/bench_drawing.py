@@ -4,8 +4,6 @@ A bench is a rope from a servo's drum over START, cable, fabric and knee to END,
 declaration leaves out.  A rig has the parts that its columns measure.  A part whose signal is not recorded is dashed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from html import escape
 from typing import Final, NamedTuple

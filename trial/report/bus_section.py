@@ -3,8 +3,6 @@
 The rule of this file: bits are counted by whoever hands in the counter; here they are only summed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 

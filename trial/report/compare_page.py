@@ -3,8 +3,6 @@
 The page shows the result of `trial.compare`; A and B keep their colours throughout.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

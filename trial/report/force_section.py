@@ -4,8 +4,6 @@ Only recorded values are drawn. Of a long trial every extreme stays (see `overvi
 band is drawn with the first, the worst and the last.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 

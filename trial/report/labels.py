@@ -3,8 +3,6 @@
 `bowden info` and the report's summary show `shown`; digests, commits, bit rates and the homing fit are in `folded`.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """A loop, such as START over END or force over position, as a picture in the page: lines whose x may rise and fall."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 from typing import Final, NamedTuple

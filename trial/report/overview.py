@@ -4,8 +4,6 @@ Over time, of each of `BINS` bins the least and the greatest value stay; against
 reduced when it ends.  Figures in tables are exact.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple

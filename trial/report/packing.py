@@ -4,8 +4,6 @@ Thinning never hides an extreme. Of every bin the least and the greatest value s
 rises or falls; a bin without a finite value stays unknown.
 """
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Sequence
 from typing import TypeVar

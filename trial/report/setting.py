@@ -3,8 +3,6 @@
 Values come from the metadata; missing ones are estimated from the columns, and `read_off` lists them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

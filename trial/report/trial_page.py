@@ -3,8 +3,6 @@
 The report shows recorded data and computes its figures by `metrics` alone; missing data are named.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 

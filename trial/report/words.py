@@ -3,8 +3,6 @@
 Pages show words; the column's name is in the tooltip.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

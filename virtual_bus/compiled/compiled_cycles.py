@@ -5,8 +5,6 @@ beforehand; anything else runs event by event, as ever.  Between two such cycles
 (`warm`); whoever asks the bench for anything has them written back first.
 """
 
-from __future__ import annotations
-
 import os
 from typing import Final, cast
 

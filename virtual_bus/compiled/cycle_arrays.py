@@ -4,8 +4,6 @@ All that is read here is written back here. Plant, axes, channels and converters
 permanently; other numbers are copied.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any, Final, NamedTuple, cast
 

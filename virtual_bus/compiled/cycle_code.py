@@ -10,8 +10,6 @@ rings, (`GAUGES`, `RING`, 2), a separate array, because one `reshape` took two s
 error.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 A PDO that the compiled cycle cannot process exactly as the device does gives no row.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from nodes import Drive, TensionSensor

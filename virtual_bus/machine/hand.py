@@ -4,8 +4,6 @@ The hand is no node. It reads the asked angle from the master's frame of targets
 follows with a first-order lag, and pushes the joint with the gains of a knee drive's position loop.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Final

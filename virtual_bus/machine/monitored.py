@@ -3,8 +3,6 @@
 The monitor's sensors are not those of the devices: what a device measures wrongly, the monitor measures rightly.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

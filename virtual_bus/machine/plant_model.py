@@ -4,8 +4,6 @@ A table's values replace the nominal ones, and serial and session scatter them l
 (`physics.bench_model`) and effects act with exactly the stated values, whatever serial and session drew.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple

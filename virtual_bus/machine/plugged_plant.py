@@ -3,8 +3,6 @@
 A plant that raised holds its last outputs afterwards, so that the drives can still be switched off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from parameters import InputError

@@ -5,8 +5,6 @@ stream, named by the parameter, so that a further row in a table changes no othe
 day 0 the session of the identification.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable, Container, Mapping
 from typing import Final, NamedTuple

@@ -4,8 +4,6 @@ It is written beside the trial, never into it, and writing changes no simulated 
 last drive tick before the SYNC that stamps them. A full disk ends the file, and the bench goes on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Final

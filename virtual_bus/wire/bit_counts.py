@@ -1,7 +1,5 @@
 """Bit counts of whole recordings and of compiled cycles: `bits.frame_bits`, compiled for arrays."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numba

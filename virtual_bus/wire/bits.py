@@ -4,8 +4,6 @@ The time of a frame on the wire is counted from its bits, never estimated. `sequ
 counts them by tables of whole bytes, because every frame needs it. `bit_counts` counts those of a whole recording.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final
 

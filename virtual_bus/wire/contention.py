@@ -4,8 +4,6 @@ The rule of this file: a frame first becomes ready, then contends; of those that
 wins, and frames of equal key from one station keep their order.
 """
 
-from __future__ import annotations
-
 from heapq import heapify, heappop, heappush
 
 from eds.cia301 import Frame

@@ -4,8 +4,6 @@ A fault is a row of `Fault`, effective from `start_s` to before `stop_s` of bus 
 bench's seed and the row's place in the list.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

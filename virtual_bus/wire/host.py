@@ -4,8 +4,6 @@ A socket receives every frame that its filters match, from the wire and from oth
 receives its own frames only on request.
 """
 
-from __future__ import annotations
-
 import struct
 from collections import deque
 from typing import Final

@@ -4,8 +4,6 @@ A device receives frames, states and the time, nothing else. Its frames are tran
 time, and it is woken at the time that it requested.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from typing import Protocol

@@ -3,8 +3,6 @@
 Each acts at its two instants only and costs the wire's hot path nothing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from functools import partial
 

@@ -4,8 +4,6 @@ The rule of this file: the n-th sending is at an exact multiple of the period on
 whatever anybody computes meanwhile.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Final
 

@@ -4,8 +4,6 @@ The rule of this file: one frame at a time. A frame starts when the wire is idle
 ready, lasts its exact bits, and is received by everyone in the same nanosecond, at its end.
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 from eds.cia301 import Frame

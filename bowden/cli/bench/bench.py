@@ -1,7 +1,5 @@
 """`bowden bench`: the four simulated nodes and the plant, in wall time, on any python-can bus."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Annotated

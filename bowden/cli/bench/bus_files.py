@@ -1,7 +1,5 @@
 """`bowden node apply` and `bowden node export`: the bus.yml of ros2_canopen into nodes, and nodes into one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`bowden safety-monitor`: the safety monitor of a real bench, on a computer of its own."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Annotated

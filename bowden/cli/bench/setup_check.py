@@ -1,7 +1,5 @@
 """`bowden check bench`: load cells against a known weight, the knee against a goniometer."""
 
-from __future__ import annotations
-
 import datetime
 import math
 import sys
@@ -17,7 +15,7 @@ from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from physics.setup_check import SetupCheck
+    pass
 
 Checked = Annotated[Path, typer.Option("--calibration", metavar="FILE", help="Calibration to enter the checks in.")]
 Weight = Annotated[float | None, typer.Option(metavar="N", help="Known weight on this load cell, N; at least 10.")]

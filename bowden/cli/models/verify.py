@@ -1,7 +1,5 @@
 """`bowden verify`: the closed loop without and with compensation of a diagnosis's effects."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

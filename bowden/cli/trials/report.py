@@ -1,7 +1,5 @@
 """`bowden report`: a trial as one HTML page."""
 
-from __future__ import annotations
-
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app

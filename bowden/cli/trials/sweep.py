@@ -1,7 +1,5 @@
 """`bowden sweep`: many trials of simulated benches, one table."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections import Counter

@@ -3,8 +3,6 @@
 The rule of this file: a mapping is judged once, by abort codes, and compiled once, into an `eds.pdo_plan.PdoPlan`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from operator import itemgetter
 

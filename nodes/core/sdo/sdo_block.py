@@ -4,8 +4,6 @@ The rule of this file: only the segments received in sequence count; the acknowl
 the sender repeats from there.  The CRC is CCITT's, 0x1021 from 0, over all data.
 """
 
-from __future__ import annotations
-
 from binascii import crc_hqx
 from enum import Enum
 from typing import Final

@@ -3,8 +3,6 @@
 The rule of this file: seven bytes an exchange, the toggle bit alternates from 0, the segment with c = 1 is the last.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 

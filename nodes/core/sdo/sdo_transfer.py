@@ -3,8 +3,6 @@
 A transfer never sends; it returns the frame to send, or raises `TransferAbortedError`.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from eds.cia301 import Abort
