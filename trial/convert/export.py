@@ -5,7 +5,6 @@ left out, an unknown value is an empty cell, and every number reads back as the 
 """
 
 import gzip
-import importlib
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,9 +17,11 @@ from parameters import InputError
 from parameters.files import replaced
 from trial.assemble import Progress, silent
 from trial.convert import candump
+from trial.convert.sheets import library
 from trial.read import ROWS_AT_ONCE, TrialFile
 
-Writer = Callable[[TrialFile, Path, Progress], int]
+Writer = Callable[[TrialFile, Path, Progress], int | None]
+"""Writes a table of all cycles, or frames, whose number it returns."""
 BLOCKS_IN_GROUP = 4  # of a Parquet file: with one block a group it is half as large again
 PYTHON_CAN = (".asc", ".blf", ".trc")
 
@@ -40,7 +41,8 @@ def export(
             raise InputError(f"{target}: --mat73 belongs to a .mat file; leave it out.")
         write = _matlab73
     with replaced(target, overwrite=overwrite) as part:
-        return write(trial, part, progress)
+        frames = write(trial, part, progress)
+    return trial.extent.rows if frames is None else frames
 
 
 def _writer(target: Path) -> Writer:
@@ -90,25 +92,19 @@ def _cell(value: float) -> str:
     return "" if value != value else repr(value).removesuffix(".0")
 
 
-def _csv(trial: TrialFile, part: Path, progress: Progress) -> int:
+def _csv(trial: TrialFile, part: Path, progress: Progress) -> None:
     with part.open("w", encoding="utf-8") as file:
         file.writelines(csv_lines(trial, progress))
-    return trial.extent.rows
 
 
-def _csv_gz(trial: TrialFile, part: Path, progress: Progress) -> int:
+def _csv_gz(trial: TrialFile, part: Path, progress: Progress) -> None:
     with part.open("wb") as raw, gzip.GzipFile("", "wb", 6, raw, mtime=0) as file:  # no name, no time: repeatable
         file.writelines(line.encode() for line in csv_lines(trial, progress))
-    return trial.extent.rows
 
 
-def _parquet(trial: TrialFile, part: Path, progress: Progress) -> int:
+def _parquet(trial: TrialFile, part: Path, progress: Progress) -> None:
     """Write row groups of some blocks, with units as metadata of the fields; an unknown value is null."""
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError:
-        raise InputError(f"{trial.path}: Parquet needs pyarrow; say pip install bowden-bench[parquet].") from None
+    pa, parquet = (library(trial.path, module, "Parquet", "parquet") for module in ("pyarrow", "pyarrow.parquet"))
     names = known_columns(trial)
     schema = pa.schema([pa.field(name, pa.float64(), metadata={"unit": trial.units[name]}) for name in names])
     with parquet.ParquetWriter(part, schema) as file:
@@ -121,23 +117,19 @@ def _parquet(trial: TrialFile, part: Path, progress: Progress) -> int:
         if waiting:
             file.write_table(pa.concat_tables(waiting))
     progress(1.0)
-    return trial.extent.rows
 
 
 EXCEL_ROWS = (1 << 20) - 2  # below a header and a row of units
 
 
-def _excel(trial: TrialFile, part: Path, progress: Progress) -> int:
+def _excel(trial: TrialFile, part: Path, progress: Progress) -> None:
     """Write one sheet: a header, a row of units, then the cycles; an unknown value is an empty cell."""
-    try:
-        new_book = importlib.import_module("openpyxl").Workbook
-    except ImportError:
-        raise InputError(f"{trial.path}: Excel needs openpyxl; say pip install bowden-bench[xlsx].") from None
+    openpyxl = library(trial.path, "openpyxl", "Excel", "xlsx")
     if trial.extent.rows > EXCEL_ROWS:
         raise InputError(f"{trial.path}: has {trial.extent.rows} cycles, an Excel sheet holds {EXCEL_ROWS}; cut it, "
                          "or write .csv.")
     names = known_columns(trial)
-    book = new_book(write_only=True)
+    book = openpyxl.Workbook(write_only=True)
     sheet = book.create_sheet("cycle")
     sheet.append(names)
     sheet.append([trial.units[name] for name in names])
@@ -145,15 +137,11 @@ def _excel(trial: TrialFile, part: Path, progress: Progress) -> int:
         sheet.append([None if value != value else value for value in row])
     with part.open("wb") as file:
         book.save(file)
-    return trial.extent.rows
 
 
-def _tdms(trial: TrialFile, part: Path, progress: Progress) -> int:
+def _tdms(trial: TrialFile, part: Path, progress: Progress) -> None:
     """Write one group `cycle`, a channel for each column with its unit."""
-    try:
-        nptdms = importlib.import_module("nptdms")
-    except ImportError:
-        raise InputError(f"{trial.path}: TDMS needs nptdms; say pip install bowden-bench[tdms].") from None
+    nptdms = library(trial.path, "nptdms", "TDMS", "tdms")
     names = known_columns(trial)
     with part.open("wb") as file, nptdms.TdmsWriter(file) as writer:
         for block in trial.blocks(names):
@@ -161,34 +149,29 @@ def _tdms(trial: TrialFile, part: Path, progress: Progress) -> int:
                 nptdms.ChannelObject("cycle", name, block.columns[name], {"unit_string": trial.units[name]})
                 for name in names])
     progress(1.0)
-    return trial.extent.rows
 
 
-def _mdf(trial: TrialFile, part: Path, progress: Progress) -> int:
+def _mdf(trial: TrialFile, part: Path, progress: Progress) -> None:
     """Write one channel group over `time_s`."""
-    try:
-        from asammdf import MDF, Signal
-    except ImportError:
-        raise InputError(f"{trial.path}: MDF needs asammdf; say pip install bowden-bench[mf4].") from None
+    asammdf = library(trial.path, "asammdf", "MDF", "mf4")
     names = known_columns(trial)
-    with MDF(version="4.10") as file:
+    with asammdf.MDF(version="4.10") as file:
         others = [name for name in names if name != "time_s"]
         for number, (_, columns) in enumerate(trial.blocks(names)):
             if number:
                 file.extend(0, [(columns[name], None) for name in ("time_s", *others)])
             else:
-                file.append([Signal(columns[name], columns["time_s"], name=name, unit=trial.units[name])
+                file.append([asammdf.Signal(columns[name], columns["time_s"], name=name, unit=trial.units[name])
                              for name in others])
         saved = file.save(part.with_name(f"{part.name}.mf4"), overwrite=True)
     Path(saved).replace(part)
     progress(1.0)
-    return trial.extent.rows
 
 
 V5_LIMIT = (1 << 31) - 1024  # bytes of one variable of a MATLAB v5 file
 
 
-def _matlab5(trial: TrialFile, part: Path, progress: Progress) -> int:
+def _matlab5(trial: TrialFile, part: Path, progress: Progress) -> None:
     """Write column vectors by name, and the structure `units`; an unknown value is NaN.
 
     SciPy writes the header of each variable, with one row; its length and its rows come by block.
@@ -213,7 +196,6 @@ def _matlab5(trial: TrialFile, part: Path, progress: Progress) -> int:
                 file.write(columns[name].astype("<f8").tobytes())
             done += len(times)
             progress(done / rows)
-    return rows
 
 
 def _matlab5_head(name: str, rows: int) -> bytes:
@@ -224,12 +206,9 @@ def _matlab5_head(name: str, rows: int) -> bytes:
     return struct.pack("<II", 14, len(body) + 8 * rows) + body
 
 
-def _matlab73(trial: TrialFile, part: Path, progress: Progress) -> int:
+def _matlab73(trial: TrialFile, part: Path, progress: Progress) -> None:
     """Write HDF5 as MATLAB v7.3 reads it: a user block of 512 bytes that identifies it, and classes as attributes."""
-    try:
-        import h5py
-    except ImportError:
-        raise InputError(f"{trial.path}: MATLAB v7.3 needs h5py; say pip install bowden-bench[mat73].") from None
+    h5py = library(trial.path, "h5py", "MATLAB v7.3", "mat73")
     names, rows, done = known_columns(trial), trial.extent.rows, 0
     with h5py.File(part, "w", userblock_size=512) as file:
         for name in names:
@@ -249,7 +228,6 @@ def _matlab73(trial: TrialFile, part: Path, progress: Progress) -> int:
             made.attrs["MATLAB_int_decode"] = np.int32(2)
     with part.open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64, HDF5 schema 1.00 .".ljust(124) + b"\x00\x02IM")
-    return rows
 
 
 def _candump(trial: TrialFile, part: Path, progress: Progress) -> int:

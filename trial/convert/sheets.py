@@ -53,18 +53,18 @@ def sheet_of(path: Path, dialect: csv_file.Dialect | None = None) -> LabTable:
         raise InputError(f"{path}: cannot be read ({reason}); give a whole {ending} file.") from None
 
 
-def missing(path: Path, what: str, extra: str) -> InputError:
-    """Return the error for a library that is not installed."""
-    return InputError(f"{path}: {what}; say pip install bowden-bench[{extra}].")
+def library(path: Path, module: str, what: str, extra: str) -> Any:
+    """Import the library of a format; raises `InputError` with the command that installs it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise InputError(f"{path}: {what} needs {module.partition('.')[0]}; say pip install bowden-bench[{extra}]."
+                         ) from None
 
 
 def parquet(path: Path) -> LabTable:
     """Read a Parquet file; units are those of its fields' metadata."""
-    try:
-        from pyarrow import parquet as format_
-    except ImportError:
-        raise missing(path, "Parquet needs pyarrow", "parquet") from None
-    with format_.ParquetFile(path) as file:
+    with library(path, "pyarrow.parquet", "Parquet", "parquet").ParquetFile(path) as file:
         unpacked_size.check_parquet(path, file.metadata)
         # text is left out unread: one long word in a thousand rows is kept once in the file, but not in memory
         table = file.read([field.name for field in file.schema_arrow if _fixed_width(field.type)])
@@ -90,12 +90,9 @@ def excel(path: Path, chosen: str = "") -> LabTable:
 
     It is the sheet `chosen`, else the first one that holds a table of numbers; the others are listed as left out.
     """
-    try:
-        load_workbook = importlib.import_module("openpyxl").load_workbook
-    except ImportError:
-        raise missing(path, "Excel needs openpyxl", "xlsx") from None
+    openpyxl = library(path, "openpyxl", "Excel", "xlsx")
     unpacked_size.check_zip(path)
-    book = load_workbook(path, read_only=True, data_only=True)
+    book = openpyxl.load_workbook(path, read_only=True, data_only=True)
     try:
         texts = {sheet.title: _excel_text(sheet) for sheet in book.worksheets}
     finally:
@@ -151,13 +148,9 @@ def _excel_cell(cell: Any) -> str:
 
 def tdms(path: Path) -> LabTable:
     """Read the channels of a TDMS file of the commonest length; a waveform's increment gives the time."""
-    try:
-        file_of = importlib.import_module("nptdms").TdmsFile
-    except ImportError:
-        raise missing(path, "TDMS needs nptdms", "tdms") from None
     columns: Arrays = {}
     units: dict[str, str] = {}
-    for group in file_of.read(path).groups():
+    for group in library(path, "nptdms", "TDMS", "tdms").TdmsFile.read(path).groups():
         for channel in group.channels():
             values = np.asarray(channel[:])
             name = channel.name if channel.name not in columns else f"{group.name}.{channel.name}"
@@ -193,11 +186,7 @@ def _matlab5(path: Path) -> dict[str, Any]:
 
 
 def _hdf(path: Path) -> dict[str, Any]:
-    try:
-        import h5py
-    except ImportError:
-        raise missing(path, "MATLAB v7.3 needs h5py", "mat73") from None
-    with h5py.File(path, "r") as file:
+    with library(path, "h5py", "MATLAB v7.3", "mat73").File(path, "r") as file:
         unpacked_size.check_hdf(path, file)
         return _group(file)
 
@@ -230,11 +219,7 @@ def _flatten(prefix: str, found: Mapping[str, Any], flat: Arrays) -> None:
 
 def mdf(path: Path) -> LabTable:
     """Read the signals of an MDF file on the clock of its largest group; slower ones are held."""
-    try:
-        from asammdf import MDF
-    except ImportError:
-        raise missing(path, "MDF needs asammdf", "mf4") from None
-    with MDF(path) as file:
+    with library(path, "asammdf", "MDF", "mf4").MDF(path) as file:
         unpacked_size.check_mdf(path, file)
         begins = file.header.start_time
         signals = [signal for signal in file.iter_channels(skip_master=True) if signal.samples.ndim == 1
@@ -253,20 +238,16 @@ def mdf(path: Path) -> LabTable:
     if "time_s" not in columns:
         columns = {"time_s" if name == "time" else name: values for name, values in columns.items()}
         units["time_s"] = units.pop("time")
-    made = _sheet(path, columns, units, [f"MDF, begun {begins:%Y-%m-%dT%H:%M:%S}"])
-    return made
+    return _sheet(path, columns, units, [f"MDF, begun {begins:%Y-%m-%dT%H:%M:%S}"])
 
 
 def has_can_frames(path: Path) -> bool:
     """Return whether an MDF file is a log of CAN frames."""
     refuse_special(path)
-    try:
-        from asammdf import MDF
-    except ImportError:
-        raise missing(path, "MDF needs asammdf", "mf4") from None
+    asammdf = library(path, "asammdf", "MDF", "mf4")
     unpacked_size.check_mdf_blocks(path)
     try:
-        with MDF(path) as file:
+        with asammdf.MDF(path) as file:
             unpacked_size.check_mdf(path, file)
             return any(map(len, getattr(file, "bus_logging_map", {}).get("CAN", {}).values()))
     except InputError:
