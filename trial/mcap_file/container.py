@@ -1,4 +1,4 @@
-"""MCAP records, written.
+"""MCAP files, written: records of the package mcap in the order of a trial, indexes of messages in bulk.
 
 The rule of this file: every record goes through `_write`, which keeps position and checksum, and the file
 is readable up to the last whole record at any moment.  Format: the MCAP specification, version 0.
@@ -7,10 +7,12 @@ is readable up to the last whole record at any moment.  Format: the MCAP specifi
 import struct
 import zlib
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import zstandard
+from mcap import records as mcap
+from mcap.data_stream import RecordBuilder
 from numpy.typing import NDArray
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -24,24 +26,6 @@ class ByteSink(Protocol):
     """Destination of bytes: an unbuffered binary file."""
 
     def write(self, data: bytes, /) -> int | None: ...
-
-
-def string(text: str) -> bytes:
-    """Return a length-prefixed string."""
-    raw = text.encode()
-    return struct.pack("<I", len(raw)) + raw
-
-
-def string_map(mapping: Mapping[str, str]) -> bytes:
-    """Return a length-prefixed map of strings, in its own order."""
-    body = b"".join(string(key) + string(value) for key, value in mapping.items())
-    return struct.pack("<I", len(body)) + body
-
-
-def record(opcode: int, *parts: bytes) -> bytes:
-    """Return one whole record."""
-    body = b"".join(parts)
-    return struct.pack("<BQ", opcode, len(body)) + body
 
 
 def write_all(sink: ByteSink, data: bytes) -> None:
@@ -62,51 +46,47 @@ class Container:
         self._sink = sink
         self._crc = 0
         self._compress = zstandard.ZstdCompressor(level=ZSTD_LEVEL).compress
-        self._schemas: list[bytes] = []
-        self._channels: list[bytes] = []
-        self._indexes: dict[int, list[bytes]] = {CHUNK_INDEX: [], ATTACHMENT_INDEX: [], METADATA_INDEX: []}
+        self._summary: dict[int, list[bytes]] = {opcode: [] for opcode in (
+            SCHEMA, CHANNEL, STATISTICS, CHUNK_INDEX, ATTACHMENT_INDEX, METADATA_INDEX)}
         self._counts: dict[int, int] = {}
         self._first_ns: int | None = None
         self._last_ns = 0
-        self._write(MAGIC + record(HEADER, string("ros2"), string(library)))
+        self._write(MAGIC + _record(mcap.Header("ros2", library)))
 
     def _write(self, data: bytes) -> None:
         write_all(self._sink, data)
         self.position += len(data)
         self._crc = zlib.crc32(data, self._crc)
 
+    def _describe(self, opcode: int, record: Any) -> int:
+        """Write a record that the summary repeats; returns its number among those."""
+        whole = _record(record)
+        self._summary[opcode].append(whole)
+        self._write(whole)
+        return len(self._summary[opcode])
+
     def schema(self, name: str, encoding: str, text: str) -> int:
         """Describe a message; returns the schema's id."""
-        number = len(self._schemas) + 1
-        data = text.encode()
-        self._schemas.append(record(SCHEMA, struct.pack("<H", number), string(name), string(encoding),
-                                    struct.pack("<I", len(data)), data))
-        self._write(self._schemas[-1])
-        return number
+        return self._describe(SCHEMA, mcap.Schema(len(self._summary[SCHEMA]) + 1, text.encode(), encoding, name))
 
     def channel(self, topic: str, schema: int, encoding: str, metadata: Mapping[str, str]) -> int:
         """Open a topic; returns the channel's id."""
-        number = len(self._channels) + 1
-        self._channels.append(record(CHANNEL, struct.pack("<HH", number, schema), string(topic), string(encoding),
-                                     string_map(metadata)))
+        number = self._describe(CHANNEL, mcap.Channel(
+            len(self._summary[CHANNEL]) + 1, topic, encoding, dict(metadata), schema))
         self._counts[number] = 0
-        self._write(self._channels[-1])
         return number
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file, whole; its times are 0, as nothing wall-timed goes in here."""
-        body = struct.pack("<QQ", 0, 0) + string(name) + string(media_type) + struct.pack("<Q", len(data)) + data
-        whole = record(ATTACHMENT, body, struct.pack("<I", zlib.crc32(body)))
-        self._indexes[ATTACHMENT_INDEX].append(record(
-            ATTACHMENT_INDEX, struct.pack("<QQQQQ", self.position, len(whole), 0, 0, len(data)),
-            string(name), string(media_type)))
+        whole = _record(mcap.Attachment(0, 0, name, media_type, data))
+        self._summary[ATTACHMENT_INDEX].append(_record(mcap.AttachmentIndex(
+            self.position, len(whole), 0, 0, len(data), name, media_type)))
         self._write(whole)
 
     def metadata(self, name: str, mapping: Mapping[str, str]) -> None:
         """Write a named map of strings."""
-        whole = record(METADATA, string(name), string_map(mapping))
-        self._indexes[METADATA_INDEX].append(
-            record(METADATA_INDEX, struct.pack("<QQ", self.position, len(whole)), string(name)))
+        whole = _record(mcap.Metadata(name, dict(mapping)))
+        self._summary[METADATA_INDEX].append(_record(mcap.MetadataIndex(self.position, len(whole), name)))
         self._write(whole)
 
     def chunk(
@@ -116,48 +96,43 @@ class Container:
         first = min(int(times.min()) for times, _ in index.values())
         last = max(int(times.max()) for times, _ in index.values())
         packed = self._compress(content)
-        chunk = record(CHUNK, struct.pack("<QQQI", first, last, len(content), zlib.crc32(content)),
-                       string("zstd"), struct.pack("<Q", len(packed)), packed)
-        at = self.position
-        places, indexes = b"", b""
+        chunk = _record(mcap.Chunk("zstd", packed, last, first, zlib.crc32(content), len(content)))
+        places, indexes = {}, b""
         for channel, (times, offsets) in index.items():
-            places += struct.pack("<HQ", channel, at + len(chunk) + len(indexes))
+            places[channel] = self.position + len(chunk) + len(indexes)
             indexes += _message_index(channel, times, offsets)
-        self._write(chunk + indexes)
-        self._indexes[CHUNK_INDEX].append(record(
-            CHUNK_INDEX, struct.pack("<QQQQI", first, last, at, len(chunk), len(places)), places,
-            struct.pack("<Q", len(indexes)), string("zstd"), struct.pack("<QQ", len(packed), len(content))))
-        for channel, (times, _) in index.items():
             self._counts[channel] += len(times)
+        self._summary[CHUNK_INDEX].append(_record(mcap.ChunkIndex(
+            len(chunk), self.position, "zstd", len(packed), last, len(indexes), places, first, len(content))))
+        self._write(chunk + indexes)
         self._first_ns = first if self._first_ns is None else min(self._first_ns, first)
         self._last_ns = max(self._last_ns, last)
 
     def finish(self) -> None:
         """Write the end of the data, the summary that makes the file seekable, and the footer."""
-        self._write(record(DATA_END, struct.pack("<I", self._crc)))
-        start = self.position
-        groups = [(SCHEMA, self._schemas), (CHANNEL, self._channels), (STATISTICS, [self._statistics()]),
-                  *self._indexes.items()]
-        summary, offsets = bytearray(), bytearray()
-        for opcode, records in groups:
-            whole = b"".join(records)
-            if whole:
-                offsets += record(SUMMARY_OFFSET, struct.pack("<BQQ", opcode, start + len(summary), len(whole)))
+        self._write(_record(mcap.DataEnd(self._crc)))
+        start, counts = self.position, {opcode: len(found) for opcode, found in self._summary.items()}
+        self._summary[STATISTICS].append(_record(mcap.Statistics(
+            counts[ATTACHMENT_INDEX], counts[CHANNEL], self._counts, counts[CHUNK_INDEX], sum(self._counts.values()),
+            self._last_ns, self._first_ns or 0, counts[METADATA_INDEX], counts[SCHEMA])))
+        summary, offsets = bytearray(), b""
+        for opcode, found in self._summary.items():
+            if whole := b"".join(found):
+                offsets += _record(mcap.SummaryOffset(opcode, start + len(summary), len(whole)))
                 summary += whole
-        offset_start = start + len(summary)
-        summary += offsets + struct.pack("<BQQQ", FOOTER, 20, start, offset_start)
+        summary += offsets + _record(mcap.Footer(start, start + len(summary), 0))[:-4]
         self._write(bytes(summary) + struct.pack("<I", zlib.crc32(summary)) + MAGIC)
 
-    def _statistics(self) -> bytes:
-        counts = b"".join(struct.pack("<HQ", channel, count) for channel, count in self._counts.items())
-        return record(STATISTICS, struct.pack(
-            "<QHIIIIQQ", sum(self._counts.values()), len(self._schemas), len(self._channels),
-            len(self._indexes[ATTACHMENT_INDEX]), len(self._indexes[METADATA_INDEX]),
-            len(self._indexes[CHUNK_INDEX]), self._first_ns or 0, self._last_ns,
-        ) + struct.pack("<I", len(counts)) + counts)
+
+def _record(record: Any) -> bytes:
+    """Return one whole record of the package mcap as bytes."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
 
 
 def _message_index(channel: int, times: NDArray[np.int64], offsets: NDArray[np.int64]) -> bytes:
+    """Return the index of one channel's messages in a chunk; the package mcap would write it number by number."""
     entries = np.empty(len(times), INDEX_ENTRY)
     entries["time"], entries["offset"] = times, offsets
-    return record(MESSAGE_INDEX, struct.pack("<HI", channel, entries.nbytes), entries.tobytes())
+    return struct.pack("<BQHI", MESSAGE_INDEX, 6 + entries.nbytes, channel, entries.nbytes) + entries.tobytes()
