@@ -43,8 +43,6 @@ from virtual_bus.machine.machine import (
     MountedDrive,
     Observer,
     SwitchedPlant,
-    Tension,
-    TickedDrive,
 )
 from virtual_bus.machine.monitored import EnableLine, SensedPath, monitor
 from virtual_bus.machine.plugged_plant import PluggedPlant, plant_raised
@@ -173,14 +171,14 @@ def _machine(one: SimulatedPath, options: Options, wire: eds.WireLayout, bench: 
              lead: Machine | None) -> Machine:
     """Join a path's plant with its devices; the joint of an antagonist is that of the machine `lead`."""
     def mounted(node: int) -> MountedDrive:
-        return MountedDrive(bench.nodes[node], cast(TickedDrive, built[node][1]))
+        return MountedDrive(bench.nodes[node], cast(nodes.Drive, built[node][1]))
 
     declaration = wire.network.bench
     joint = next(joint for joint in declaration.joints if joint.name == one.path.joint)
     knee: MountedDrive | Hand | Machine | None = lead
     if knee is None:
         knee = mounted(one.nodes.knee) if joint.driven_by else Hand(wire, 1e-3 * options.hand_lag_ms)
-    gauges = [_gauge(end, bench.nodes[n], cast(Tension, built[n][1]), one.tables, one.seed)
+    gauges = [_gauge(end, bench.nodes[n], cast(nodes.TensionSensor, built[n][1]), one.tables, one.seed)
               for end, n in (("start", one.nodes.start), ("end", one.nodes.end)) if n]
     observers = [Observer(bench.nodes[device.node_id], cast(Feeling, built[device.node_id][1]))
                  for device in (*declaration.followed, *declaration.observers)
@@ -259,7 +257,7 @@ def trimmed(wire: eds.WireLayout, node_id: int, gains: Mapping[str, float]) -> e
     return eds.WireLayout(wire.network, {**wire.nodes, node_id: servo._replace(dictionary=dictionary)})
 
 
-def _gauge(end: str, station: NodeStation, sensor: Tension, tables: Tables, seed: int) -> Gauge:
+def _gauge(end: str, station: NodeStation, sensor: nodes.TensionSensor, tables: Tables, seed: int) -> Gauge:
     group, feels = GAUGES[end]
     parameters = from_table(SensorParameters, tables[group], where=group)
     noise = int(stream(f"{group} noise", seed).integers(2**63))

@@ -126,7 +126,7 @@ class Container:
 
 def _record(record: Any) -> bytes:
     """Return one whole record of the package mcap as bytes."""
-    builder = RecordBuilder()
+    builder: Any = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())
 

@@ -14,7 +14,7 @@ from nodes import Device, Drive, TensionSensor
 from nodes.core.pdo.receive_pdo import ReceivePdo
 from nodes.drives import axis_law
 from nodes.sensors import channel_law
-from physics.converter import RING, Converter
+from physics.converter import RING
 from physics.plant.bench_plant import BowdenPlant
 from physics.plant.state_layout import SIZE as PLANT
 from trial.mcap_file.cdr import FRAME_STRUCT
@@ -101,8 +101,8 @@ class Arrays:
                 _part(f, law.F_STATE, k, axis_law.STATES), _part(f, law.F_SET, k, axis_law.SETTINGS),
                 _part(i, law.COUNTED, k, axis_law.COUNTS))
         for k, gauge in enumerate(self._machine.gauges):
-            cast(TensionSensor, gauge.sensor).adopt(_part(f, law.F_CHANNEL, k, channel_law.SIZE))
-            converter = cast(Converter, gauge.converter)
+            gauge.sensor.adopt(_part(f, law.F_CHANNEL, k, channel_law.SIZE))
+            converter = gauge.converter
             converter.adopt(_part(f, law.F_CONVERTER, k, law.CONVERTER), self._rings[k],
                             _part(f, law.F_SENSOR, k, law.SENSOR))
             i[law.SEED + k] = np.uint64(converter.seed).astype(np.int64)

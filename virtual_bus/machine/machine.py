@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol, cast
 
 from eds.declaration import MIRROR_RAD
+from nodes import Drive, TensionSensor
+from physics.converter import Converter
 from physics.drive_loops import DRIVE_TICK_NS
 from physics.plant.bench_plant import BowdenPlant, JointState, Outputs, Plant
 from virtual_bus.kernel import TICK, Kernel
@@ -18,47 +20,19 @@ from virtual_bus.wire.faults import Fault
 from virtual_bus.wire.node_station import NodeStation
 
 
-class TickedDrive(Protocol):
-    """Protocol of a drive; `nodes.drives.drive.TickedDrive` implements it."""
-
-    def tick(self, now_ns: int, position: float, velocity: float) -> float:
-        """Return the torque demand, N·m."""
-
-    def emergency_stop(self, active: bool, now_ns: int) -> None:
-        """Set the wired emergency-stop input."""
-
-
-class Tension(Protocol):
-    """Protocol of a tension sensor; `nodes.sensors.tension_sensor.TensionSensor` implements it."""
-
-    @property
-    def interval_ns(self) -> int:
-        """Sampling interval."""
-
-    def sample(self, now_ns: int, counts: int, status: int = 0) -> None:
-        """Receive the converter's counts."""
-
-
-class SensorConverter(Protocol):
-    """Protocol of a bridge and its converter; `physics.converter.SensorConverter` implements it."""
-
-    def sample(self, time_ns: int, force_n: float) -> int:
-        """Return the converter's counts at this time."""
-
-
 class MountedDrive(NamedTuple):
     """A drive on the bench."""
 
     station: NodeStation
-    drive: TickedDrive
+    drive: Drive
 
 
 class Gauge(NamedTuple):
     """A tension sensor on the bench: `feels` is the place in `Outputs` of its force."""
 
     station: NodeStation
-    sensor: Tension
-    converter: SensorConverter
+    sensor: TensionSensor
+    converter: Converter
     feels: int
 
 
