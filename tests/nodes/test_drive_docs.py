@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from eds.cia402 import TRANSITIONS, State
-from nodes.drives.drives_page import page, states
+from tests.nodes.drives_page import page, states
 
 HERE = Path(__file__).parent
 TEXT = (HERE.parents[1] / "docs" / "drives.md").read_text(encoding="utf-8")
@@ -19,7 +19,7 @@ def defined() -> set[str]:
 
 
 def test_generated_parts_are_up_to_date() -> None:
-    assert page(TEXT) == TEXT, "run: python -m nodes.drives.drives_page"
+    assert page(TEXT) == TEXT, "run: python -m tests.nodes.drives_page"
 
 
 def test_every_test_named_exists_and_every_test_is_named() -> None:

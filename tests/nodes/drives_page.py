@@ -1,4 +1,4 @@
-"""Generator of the tables in docs/drives.md: `python -m nodes.drives.drives_page [FILE]`.
+"""Generator of the tables in docs/drives.md: `python -m tests.nodes.drives_page [FILE]`.
 
 The tables are printed between markers; the sentences around them are written by hand and kept.
 """

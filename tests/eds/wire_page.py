@@ -1,4 +1,4 @@
-"""Generator of docs/wire.md from the declarations of the wire: `python -m eds.bench.wire_page [FILE]`.
+"""Generator of docs/wire.md from the declarations of the wire: `python -m tests.eds.wire_page [FILE]`.
 
 Values come from the code; this module adds only the sentences between them.
 """
@@ -17,7 +17,7 @@ _HEAD = """\
 # The wire
 
 One page on what goes over the bus, with the default `[network]`. Generated from `eds/` by
-`python -m eds.bench.wire_page docs/wire.md`; change the declarations, not this page.
+`python -m tests.eds.wire_page docs/wire.md`; change the declarations, not this page.
 
 Node ids: {nodes}. The master makes the SYNC. Every node and the master send a heartbeat
 every {heartbeat} ms; each node misses the master's after {timeout} ms (0x1016).
