@@ -25,7 +25,7 @@ TOLD_OF_A_WHOLE = ("cycles", "settle")  # of a trial's metadata: does not hold f
 
 
 @dataclass
-class Edited:
+class EditSummary:
     """Result of an edit: messages by topic, and the duration of the written recording, s."""
 
     messages: dict[str, int] = field(default_factory=dict)
@@ -35,7 +35,7 @@ class Edited:
 def cut(
     source: Path, target: Path, *, from_s: float = 0.0, to_s: float | None = None,
     gait: tuple[int, int] | None = None, overwrite: bool = False,
-) -> Edited:
+) -> EditSummary:
     """Write what lies from `from_s` until before `to_s`, s after the first control cycle (or the first message).
 
     `gait` gives the first and the last gait cycle instead.  Raises `InputError` where nothing lies there.
@@ -63,7 +63,7 @@ def cut(
     return writer.found
 
 
-def merge(sources: Sequence[Path], target: Path, *, overwrite: bool = False) -> Edited:
+def merge(sources: Sequence[Path], target: Path, *, overwrite: bool = False) -> EditSummary:
     """Write several recordings as one, by time.
 
     Topics that several of them have are joined if they follow each other and have one schema. Raises `InputError` if
@@ -204,7 +204,7 @@ class _Writer:
         self._schemas: dict[tuple[object, ...], int] = {}
         self._sequence: dict[int, int] = {}
         self._span: tuple[int, int] | None = None
-        self.found = Edited()
+        self.found = EditSummary()
 
     def metadata(self, name: str, entries: Mapping[str, str]) -> None:
         self._writer.add_metadata(name, dict(entries))

@@ -51,7 +51,7 @@ def _steady(bench: Bench) -> Steady | None:
     return Steady(bench) if possible(bench) else None
 
 
-class Shared:
+class OpenBench:
     """A bench and the number of buses that are open on it; the lock permits their use from several threads."""
 
     def __init__(self, bench: Bench) -> None:
@@ -70,7 +70,7 @@ class Shared:
 
 LONG_S: Final = 0.1  # a wait so long, s, leaves the bus to other threads in between
 
-_OPEN: dict[str, Shared] = {}
+_OPEN: dict[str, OpenBench] = {}
 
 
 class SteadyCycles:
@@ -116,7 +116,7 @@ class BowdenBus(can.BusABC):
         self._key = str(channel)
         shared = _OPEN.get(self._key)
         if shared is None:
-            shared = _OPEN[self._key] = Shared(bench or _built(given, self._key))
+            shared = _OPEN[self._key] = OpenBench(bench or _built(given, self._key))
         self._shared = shared
         shared.settle()
         shared.users += 1

@@ -53,7 +53,7 @@ class TrialFeed:
 
     def beside(self, recording: Any) -> Any:
         """Return a recorder that also feeds the page."""
-        return _Beside(recording, self._page, self._places)
+        return _LiveRecorder(recording, self._page, self._places)
 
     def suspected(self, sentence: str) -> None:
         """Show the present suspicion of the diagnosis during the trial."""
@@ -64,7 +64,7 @@ class TrialFeed:
         self._page.status("ended", sentence)
 
 
-class _Beside:
+class _LiveRecorder:
     """A trial's recorder with the page beside it: frames, rows and events go to both, the recorder first.
 
     A stop that the page has asked for is recorded as an event, from the trial's own thread. `places`: of the forces in

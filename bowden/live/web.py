@@ -15,13 +15,14 @@ import socket
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
 from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
 
 from bowden.live.state import LiveState
-from bowden.live.web_page import html
 from parameters import InputError
 from trial.playback import PlayerControl
+from trial.report.page import asset
 
 LOOPBACK: Final = "127.0.0.1"
 TICK_S: Final = 0.1
@@ -281,3 +282,18 @@ class _Handler(BaseHTTPRequestHandler):
             if not last:
                 with state.changed:
                     state.changed.wait(5 * TICK_S)
+
+
+def html(token: str, nonce: str) -> str:
+    """Return the page, which loads nothing but its own stream; `token` goes with its requests, `nonce` marks the scripts that may run."""
+    return (_own("live.html")
+            .replace("/*STYLE*/", asset("uPlot.min.css") + asset("page.css") + _own("live.css"))
+            .replace("<!--LICENSE-->", f"<!-- With uPlot:\n{asset('uPlot.LICENSE')}-->")
+            .replace("NONCE", nonce)
+            .replace('"TOKEN"', json.dumps(token))
+            .replace("/*UPLOT*/", asset("uPlot.iife.min.js"))
+            .replace("/*SCRIPT*/", _own("live.js")))
+
+
+def _own(name: str) -> str:
+    return resources.files("bowden.live").joinpath("assets", name).read_text(encoding="utf-8")

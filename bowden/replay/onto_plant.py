@@ -45,14 +45,14 @@ def simulate(recorded: Trial, chosen: BusSettings, described: WireLayout, progre
     from bowden.replay import plant_residuals, playing_bus
     from bowden.replay.player import Player
     from bowden.replay.schedule import plan
-    from trial.convert.frames import Gathered
+    from trial.convert.frames import FrameRows
 
     frames = recorded.frames
     bitrate = described.network.bitrate
     with opened_one(chosen, bitrate, **simulating(described.network), receive_own_messages=True) as bus:
         lead_ns = lengths_ns(frames, bitrate) + bus.bench.master_turnaround_ns
         schedule = plan(frames, plant_residuals.commands(described), lead_ns)
-        heard = Gathered()
+        heard = FrameRows()
         player = Player(schedule, playing_bus.Outlet({}, bus).send)
         origin_ns = plant_residuals.origin_ns(int(frames["time_ns"].min()), int(schedule.times[0]))
 

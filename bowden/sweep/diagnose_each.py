@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Given:
+class DiagnosisSettings:
     """Settings common to the diagnoses of all trials."""
 
     calibration: Path | None
@@ -31,35 +31,35 @@ class Given:
     lowpass: float | None
 
 
-def perform(trial: Path, given: Given) -> dict[str, Any]:
+def perform(trial: Path, settings: DiagnosisSettings) -> dict[str, Any]:
     """Return one trial's diagnosis as `bowden diagnose --json` gives it."""
     from bowden.models.diagnosing import on_its_footing
     from diagnosis.findings import Findings
 
     began = time.perf_counter()
     try:
-        told = on_its_footing(_finder(given, _state(given)).diagnose([trial], given.holdout), [trial], None,
-                              measured=bool(given.calibration or given.healthy))
+        told = on_its_footing(_finder(settings, _state(settings)).diagnose([trial], settings.holdout), [trial], None,
+                              measured=bool(settings.calibration or settings.healthy))
     except InputError as error:
-        told = Findings("refused", warnings=[str(error)], lowpass_hz=given.lowpass)
+        told = Findings("refused", warnings=[str(error)], lowpass_hz=settings.lowpass)
     return told.as_json() | {"seconds": time.perf_counter() - began}
 
 
 @lru_cache(maxsize=1)
-def _finder(given: Given, state: tuple[tuple[int, int], ...]) -> Finder:
+def _finder(settings: DiagnosisSettings, state: tuple[tuple[int, int], ...]) -> Finder:
     """Return the fitted diagnosis: its reference trials are read and fitted once in a process."""
     from diagnosis.finder import Finder
 
-    return Finder(given.calibration, given.lowpass).examine(given.healthy)
+    return Finder(settings.calibration, settings.lowpass).examine(settings.healthy)
 
 
-def _state(given: Given) -> tuple[tuple[int, int], ...]:
+def _state(settings: DiagnosisSettings) -> tuple[tuple[int, int], ...]:
     """Return size and modification time of the files of a finder: a change requires a new finder."""
-    files = [*given.healthy, *([] if given.calibration is None else [given.calibration])]
+    files = [*settings.healthy, *([] if settings.calibration is None else [settings.calibration])]
     return tuple((told.st_size, told.st_mtime_ns) for told in (path.stat() for path in files if path.exists()))
 
 
-def each(trials: Sequence[Path], given: Given, workers: run.Workers, update: Callable[[float], None]
+def each(trials: Sequence[Path], settings: DiagnosisSettings, workers: run.Workers, update: Callable[[float], None]
          ) -> dict[str, Mapping[str, Any]]:
     """Diagnose every trial for itself; the order is that of `trials`. `update` receives the share done."""
     results: dict[Path, Mapping[str, Any]] = {}
@@ -70,5 +70,5 @@ def each(trials: Sequence[Path], given: Given, workers: run.Workers, update: Cal
         results[trial] = result
         update(len(results) / len(trials))
 
-    run.run_all((run.Job(trial, perform, (trial, given)) for trial in trials), workers, finished)
+    run.run_all((run.Job(trial, perform, (trial, settings)) for trial in trials), workers, finished)
     return {str(trial): results[trial] for trial in trials}

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parameters import InputError
-from trial.convert.frames import ChannelNumbers, Gathered, LoggedFrames
+from trial.convert.frames import ChannelNumbers, FrameRows, LoggedFrames
 from trial.mcap_file import cdr
 
 NS = 1_000_000_000
@@ -103,7 +103,7 @@ def read(lines: Iterable[str]) -> LoggedFrames:
 
     Raises `InputError` for screen output without a time, or with the time since the line before.
     """
-    rows = Gathered()
+    rows = FrameRows()
     channels = ChannelNumbers()
     counts = {"malformed_lines": 0, "fd_frames": 0, "dlc_above_8": 0, "unstamped_lines": 0}
     shown = 0
@@ -128,7 +128,7 @@ def _anomaly(line: str) -> str:
     return "fd_frames" if len(text) <= LONGEST and (_FD_LINE.match(text) or _SCREEN.match(text)) else "malformed_lines"
 
 
-def _refuse_screen(rows: Gathered, counts: dict[str, int], shown: int) -> None:
+def _refuse_screen(rows: FrameRows, counts: dict[str, int], shown: int) -> None:
     unstamped = counts.pop("unstamped_lines")
     if unstamped > len(rows):
         raise InputError(f"{unstamped} lines are as candump shows them on a screen, without a time; {REMEDY}.")

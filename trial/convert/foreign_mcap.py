@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parameters import InputError
-from trial.convert.frames import ChannelNumbers, Gathered, LoggedFrames, Row
+from trial.convert.frames import ChannelNumbers, FrameRows, LoggedFrames, Row
 from trial.mcap_file import cdr, records, scan
 
 _FRAME = struct.Struct("<I3?B")
@@ -89,7 +89,7 @@ def _table(
 
 
 def _frames(view: records.View, summary: scan.Summary, channels: list[records.Channel], path: Path) -> LoggedFrames:
-    rows, numbers, malformed = Gathered(), ChannelNumbers(), 0
+    rows, numbers, malformed = FrameRows(), ChannelNumbers(), 0
     for channel in channels:
         for _, time_ns, payload in _payloads(view, summary, channel, path):
             row = _frame(payload, time_ns, channel.topic, numbers)

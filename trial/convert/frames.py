@@ -50,7 +50,7 @@ def rows_of(rows: Sequence[Row]) -> NDArray[np.void]:
     return np.array(rows, _PACKED).view(cdr.FRAME_ROW)
 
 
-class Gathered:
+class FrameRows:
     """Frames gathered one by one, packed every 65 536, so that memory is 24 bytes a frame."""
 
     def __init__(self) -> None:

@@ -37,7 +37,7 @@ READING = 0.7  # of the share: of a CAN log the reading takes longer than the wr
 
 
 @dataclass
-class Imported:
+class ImportReport:
     """Result of an import: counts by name (zeros left out), columns left out, and how the file was read."""
 
     source: Path
@@ -65,14 +65,14 @@ def import_file(
     source: str | Path, target: str | Path, *, mapped: Mapping[str, SignalSource] | None = None,
     wire: WireLayout | None = None,
     overwrite: bool = False, progress: Progress = silent,
-) -> Imported:
+) -> ImportReport:
     """Make a trial of `source`, a table, a CAN log or an MCAP file (`FORMATS`); raises `InputError`.
 
     `mapped` (see `csv_table.read_map`) names columns of tables; `wire` decodes CAN frames, this bench's by default;
     `progress` receives the share done, 0 … 1.
     """
     source = Path(source)
-    report = Imported(source)
+    report = ImportReport(source)
     refuse_special(source)
     reader = _reader(source)
     if mapped is not None and reader is not _from_table and reader is not _from_mcap:
@@ -84,7 +84,7 @@ def import_file(
     return report
 
 
-Reader = Callable[[Path, Imported, ImportRequest], TrialContent]
+Reader = Callable[[Path, ImportReport, ImportRequest], TrialContent]
 
 
 FORMATS = ".csv, .tsv, .dat, .txt, .log (also .gz), .xlsx, .tdms, .parquet, .mat, .mf4, .asc, .blf, .trc, .db or .mcap"
@@ -153,7 +153,7 @@ def _is_python_cans(source: Path) -> bool:
     return first_lines(source, 1)[:1] == [CSV_HEADER]
 
 
-def _from_table(source: Path, report: Imported, asked: ImportRequest) -> TrialContent:
+def _from_table(source: Path, report: ImportReport, asked: ImportRequest) -> TrialContent:
     table = csv_table.read(source, asked.mapped)
     report.counts |= table.counts
     report.left_out, report.read_as = table.left_out, table.remarks
@@ -164,7 +164,7 @@ def _from_table(source: Path, report: Imported, asked: ImportRequest) -> TrialCo
 
 
 def _ordered(
-    source: Path, table: csv_table.Columns, report: Imported
+    source: Path, table: csv_table.Columns, report: ImportReport
 ) -> tuple[NDArray[np.int64], dict[str, Floats]]:
     """Return times ≥ 0 and the columns, rows that repeat the one before left out; time that falls is refused."""
     columns = table.columns
@@ -189,7 +189,7 @@ def _ordered(
     return mended.times, {name: column[first_of_equal] for name, column in columns.items()}
 
 
-def _from_candump(source: Path, report: Imported, asked: ImportRequest) -> TrialContent:
+def _from_candump(source: Path, report: ImportReport, asked: ImportRequest) -> TrialContent:
     return _from_log(source, _candump_frames(source, asked.progress), report, asked.wire)
 
 
@@ -229,7 +229,7 @@ def _followed(lines: TextIO, raw: BinaryIO, source: Path, progress: Progress) ->
         yield line
 
 
-def _from_log(source: Path, frames: LoggedFrames, report: Imported, wire: WireLayout) -> TrialContent:
+def _from_log(source: Path, frames: LoggedFrames, report: ImportReport, wire: WireLayout) -> TrialContent:
     if not len(frames.rows):
         fd_frames = frames.counts.get("fd_frames", 0)
         if fd_frames:
@@ -239,13 +239,13 @@ def _from_log(source: Path, frames: LoggedFrames, report: Imported, wire: WireLa
     return _from_frames(source, frames, report, wire)
 
 
-def _from_python_can(source: Path, report: Imported, asked: ImportRequest) -> TrialContent:
+def _from_python_can(source: Path, report: ImportReport, asked: ImportRequest) -> TrialContent:
     from trial.convert.python_can import read_log
 
     return _from_log(source, read_log(source, asked.progress), report, asked.wire)
 
 
-def _from_mcap(source: Path, report: Imported, asked: ImportRequest) -> TrialContent:
+def _from_mcap(source: Path, report: ImportReport, asked: ImportRequest) -> TrialContent:
     found = foreign_mcap.read(source)
     report.left_out = found.left_out
     content = _from_frames(source, found.frames, report, asked.wire)
@@ -265,7 +265,7 @@ def _from_mcap(source: Path, report: Imported, asked: ImportRequest) -> TrialCon
 
 
 def _mapped_columns(
-    source: Path, found: foreign_mcap.ForeignContent, mapped: Mapping[str, SignalSource] | None, report: Imported
+    source: Path, found: foreign_mcap.ForeignContent, mapped: Mapping[str, SignalSource] | None, report: ImportReport
 ) -> dict[str, Floats]:
     columns = {}
     for name, unit in found.units.items():
@@ -280,7 +280,7 @@ def _mapped_columns(
     return columns
 
 
-def _from_frames(source: Path, frames: LoggedFrames, report: Imported, wire: WireLayout) -> TrialContent:
+def _from_frames(source: Path, frames: LoggedFrames, report: ImportReport, wire: WireLayout) -> TrialContent:
     mended = clock.mend(frames.rows["time_ns"], source)
     frames.rows["time_ns"] = mended.times
     report.counts |= frames.counts | oddities(frames.rows)

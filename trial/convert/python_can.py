@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from parameters import InputError
 from parameters.files import LONGEST_LINE, READ_LIMIT, refuse_special, unpacked_limit
-from trial.convert.frames import ChannelNumbers, Gathered, LoggedFrames, Row
+from trial.convert.frames import ChannelNumbers, FrameRows, LoggedFrames, Row
 from trial.mcap_file import cdr
 from trial.read import frame_blocks
 from trial.record import Recorder
@@ -156,7 +156,7 @@ def _refuse_bomb(path: Path) -> None:
 CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
 
 
-class Bounded(io.RawIOBase):
+class BoundedFile(io.RawIOBase):
     """A file, unpacked where it is packed, that ends with an error where it is endless; `lines` bounds each line."""
 
     def __init__(self, path: Path, *, lines: bool) -> None:
@@ -206,7 +206,7 @@ def _messages(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
         with reader_type(path) as reader:
             yield reader, lambda: 0
         return
-    with Bounded(path, lines=text) as raw:
+    with BoundedFile(path, lines=text) as raw:
         whole: Any = io.BufferedReader(raw, 1 << 16)
         file = io.TextIOWrapper(whole, encoding="utf-8", errors="replace") if text else whole
         with reader_type(file) as reader:
@@ -254,7 +254,7 @@ def read_log(path: Path, progress: Callable[[float], None] = lambda share: None)
     `progress` receives the share read, 0 … 1. Raises `InputError` if the file is malformed.
     """
     refuse_special(path)
-    rows = Gathered()
+    rows = FrameRows()
     channels = ChannelNumbers()
     counts = {"fd_frames": 0, "malformed_frames": 0, "dlc_above_8": 0}
     try:
@@ -276,7 +276,7 @@ def read_log(path: Path, progress: Callable[[float], None] = lambda share: None)
     return LoggedFrames(rows.rows(), channels.names, counts)
 
 
-def _take(message: can.Message, rows: Gathered, channels: ChannelNumbers, counts: dict[str, int]) -> None:
+def _take(message: can.Message, rows: FrameRows, channels: ChannelNumbers, counts: dict[str, int]) -> None:
     if message.is_fd or len(message.data or b"") > 8:
         counts["fd_frames"] += 1
     elif not (abs(message.timestamp) < LATEST_S and 0 <= message.arbitration_id <= LAST_IDENTIFIER):

@@ -22,7 +22,7 @@ DAY_NS, SECOND_NS = 86_400_000_000_000, 1_000_000_000
 _EPOCH = datetime.datetime(1970, 1, 1)
 
 
-class Timed(NamedTuple):
+class TimeColumn(NamedTuple):
     """A column of times: seconds since the first known one, and when that was, ns since 1970 (−1: day unknown)."""
 
     seconds: NDArray[np.float64]
@@ -43,7 +43,7 @@ def description(begins_ns: int) -> str:
     return f"absolute, from {at.isoformat()}.{rest // 1000:06d} on"
 
 
-def seconds(cells: Sequence[str], unknown: Container[str]) -> Timed | None:
+def seconds(cells: Sequence[str], unknown: Container[str]) -> TimeColumn | None:
     """Return a column's times; None if a cell is not a time."""
     found: list[int | None] = []
     days, before, dated = 0, -1, True
@@ -64,7 +64,7 @@ def seconds(cells: Sequence[str], unknown: Container[str]) -> Timed | None:
         found.append(at)
     first = next((at for at in found if at is not None), 0)
     values = np.array([np.nan if at is None else (at - first) / 1e9 for at in found])
-    return Timed(values, first if dated else -1)
+    return TimeColumn(values, first if dated else -1)
 
 
 def _fraction(digits: str | None) -> int:

@@ -174,7 +174,7 @@ def _each(
     """Diagnose every trial for itself; status 0 with a result for each, 1 if some were refused, 2 if all were."""
     from bowden.sweep import diagnose_each, run
 
-    given = diagnose_each.Given(calibration, tuple(healthy), tuple(holdout), lowpass)
+    given = diagnose_each.DiagnosisSettings(calibration, tuple(healthy), tuple(holdout), lowpass)
     with run.workers_of(*where) as crew, terminal.progress("diagnosing") as update:
         told = diagnose_each.each(trials, given, crew, update)
     refused = sum(one["verdict"] == "refused" for one in told.values())

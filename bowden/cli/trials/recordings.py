@@ -16,7 +16,7 @@ from parameters import InputError
 
 if TYPE_CHECKING:
     from trial.convert.contents import Contents
-    from trial.edit import Edited
+    from trial.edit import EditSummary
 
 Any_ = Annotated[Path, typer.Argument(metavar="FILE", help="A trial, CAN log, table or MCAP file.", show_default=False)]
 Recording = Annotated[Path, typer.Argument(metavar="FILE", help="MCAP.", show_default=False)]
@@ -129,7 +129,7 @@ def merge(
     return _written(output, found)
 
 
-def _written(output: Path, found: Edited) -> CommandAnswer:
+def _written(output: Path, found: EditSummary) -> CommandAnswer:
     counts = ", ".join(f"{count} of {topic}" for topic, count in found.messages.items())
     return CommandAnswer({"file": str(output), "messages": found.messages, "seconds": found.seconds},
                   f"{output}: {found.seconds:.3f} s; {counts}.")
