@@ -71,7 +71,8 @@ def processes() -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as name:
         planned = rows.rows({}, {"files.calibration": rows.NOMINAL}, [("bench.serial", list(range(1, SWEPT + 1)))])
         kept = [row_trial.perform(row, "", "", name)["trial"] for row in planned[:2]]
-        trials, given = [Path(kept[i % 2]) for i in range(DIAGNOSED)], diagnose_each.DiagnosisSettings(None, (), (), None)
+        trials = [Path(kept[i % 2]) for i in range(DIAGNOSED)]
+        given = diagnose_each.DiagnosisSettings(None, (), (), None)
 
         def sweep(crew: sweep_run.Workers) -> None:
             for each in [crew.executor.submit(row_trial.perform, row, "", "", None) for row in planned]:

@@ -285,7 +285,10 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def html(token: str, nonce: str) -> str:
-    """Return the page, which loads nothing but its own stream; `token` goes with its requests, `nonce` marks the scripts that may run."""
+    """Return the page, which loads nothing but its own stream.
+
+    `token` goes with its requests, `nonce` marks the scripts that may run.
+    """
     return (_own("live.html")
             .replace("/*STYLE*/", asset("uPlot.min.css") + asset("page.css") + _own("live.css"))
             .replace("<!--LICENSE-->", f"<!-- With uPlot:\n{asset('uPlot.LICENSE')}-->")
