@@ -113,12 +113,19 @@ class Terminal:
         remark(sentence)
 
 
-@contextmanager
-def progress(text: str, *, shown: bool = True, total: float | None = 1.0) -> Iterator[Callable[..., None]]:
-    """Show a bar on stderr, without `total` a spinner; yields a function of the share done, 0…1, and the present step.
+def progress(text: str, *, shown: bool = True) -> AbstractContextManager[Callable[..., None]]:
+    """Show a bar on stderr; yields a function of the share done, 0…1, and of the present step."""
+    return _drawn(text, 1.0, shown)
 
-    Silent unless `shown` and stderr is a terminal.
-    """
+
+def waiting(text: str, *, shown: bool = True) -> AbstractContextManager[Any]:
+    """Show a spinner on stderr with the elapsed time."""
+    return _drawn(text, None, shown)
+
+
+@contextmanager
+def _drawn(text: str, total: float | None, shown: bool) -> Iterator[Callable[..., None]]:
+    """Show a bar of length `total`, or a spinner; silent unless `shown` and stderr is a terminal."""
     if quiet() or not (shown and sys.stderr.isatty()):
         yield lambda share, step="": None
         return
@@ -130,8 +137,3 @@ def progress(text: str, *, shown: bool = True, total: float | None = 1.0) -> Ite
     with Progress(*columns, console=Console(stderr=True), transient=True) as drawn:
         task = drawn.add_task(text, total=total)
         yield lambda share, step="": drawn.update(task, completed=share, description=step or text)
-
-
-def waiting(text: str, *, shown: bool = True) -> AbstractContextManager[Any]:
-    """Return a spinner on stderr with the elapsed time."""
-    return progress(text, shown=shown, total=None)
