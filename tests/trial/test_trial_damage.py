@@ -18,6 +18,7 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Chunk, ChunkIndex
 from mcap.writer import Writer
 
 import trial
@@ -204,13 +205,10 @@ def bomb(path: Path, size: int, chunks: int) -> None:
     made = recorder._writer._container
     packed = zstandard.ZstdCompressor(level=19).compress(bytes(size))
     for _ in range(chunks):
-        at = made.position
-        chunk = container.record(container.CHUNK, struct.pack("<QQQI", 0, 0, size, 0), container.string("zstd"),
-                                 struct.pack("<Q", len(packed)), packed)
+        at, chunk = made.position, container._record(Chunk("zstd", packed, 0, 0, 0, size))
         made._write(chunk)
-        made._indexes[container.CHUNK_INDEX].append(container.record(
-            container.CHUNK_INDEX, struct.pack("<QQQQIHQQ", 0, 0, at, len(chunk), 10, 2, 0, 0),
-            container.string("zstd"), struct.pack("<QQ", len(packed), size)))
+        made._summary[container.CHUNK_INDEX].append(container._record(
+            ChunkIndex(len(chunk), at, "zstd", len(packed), 0, 0, {2: 0}, 0, size)))
     recorder.close({})
 
 
