@@ -34,20 +34,11 @@ class WalkOptions(NamedTuple):
     soft_start: options.SoftStart = None
     tuning: options.Tuning = None
 
-    def given(self) -> dict[str, Any]:
-        """Return the options by their spelling; None for those not given."""
-        return {"--set" if name == "tuning" else f"--{name.replace('_', '-')}": value
-                for name, value in self._asdict().items()}
-
     def gait(self, section: Any, controller: str | None = None) -> Any:
         """Return the configuration's `section`, overridden by the options; `controller` is the default controller."""
-        from bowden.bench.configuration import override
-
-        return override(section, {
-            "peak_n": ("--peak", self.peak), "period_s": ("--period", self.period), "cycles": ("--cycles", self.cycles),
-            "settle": ("--settle", self.settle), "controller": ("--controller", self.controller or controller),
-            "soft_start": ("--soft-start", self.soft_start),
-            "tuning": ("--set", None if self.tuning is None else ", ".join(self.tuning))})
+        return _overridden(section, {
+            **self._asdict(), "controller": self.controller or controller,
+            "tuning": None if self.tuning is None else ", ".join(self.tuning)})
 
 
 class StrideOptions(NamedTuple):
@@ -61,11 +52,25 @@ class StrideOptions(NamedTuple):
 
     def walk(self, section: Any, seed: int | None) -> Any:
         """Return the configuration's `section`, overridden by the options, drawn by `seed`."""
-        from bowden.bench.configuration import drawn, override
+        from bowden.bench.configuration import drawn
 
-        return drawn(override(section, {
-            "strides": ("--strides", self.strides), "stumbles": ("--stumbles", self.stumbles),
-            "stops": ("--stops", self.stops), "sits": ("--sits", self.sits), "phase": ("--phase", self.phase)}), seed)
+        return drawn(_overridden(section, self._asdict()), seed)
+
+
+def spelled(*groups: Any) -> dict[str, Any]:
+    """Return the options of groups by their spelling; None for those not given."""
+    return {_spelling(name): value for group in groups for name, value in group._asdict().items()}
+
+
+def _spelling(name: str) -> str:
+    return "--set" if name == "tuning" else f"--{name.replace('_', '-')}"
+
+
+def _overridden(section: Any, given: Mapping[str, Any]) -> Any:
+    from bowden.bench.configuration import override
+
+    units = {"peak": "peak_n", "period": "period_s"}
+    return override(section, {units.get(name, name): (_spelling(name), value) for name, value in given.items()})
 
 
 class SimulatedOptions(NamedTuple):

@@ -49,6 +49,7 @@ def test_rope_and_knee_move_as_they_did_and_the_controller_replays(ran: Path, bo
 @pytest.mark.parametrize(("words", "said"), [
     (("--experiment", "repeat"), "name it with --motion-of"),
     (("--motion-of", "good.mcap", "--peak", "40", "--soft-start", "1"), "leave --peak, --soft-start out"),
+    (("--motion-of", "good.mcap", "--strides", "4", "--set", "a=1"), "leave --set, --strides out"),
     (("--motion-of", "good.mcap", "--experiment", "step"), "leave --experiment out"),
     (("--motion-of", "dry.mcap"), "needs a trial that moved the bench to its end"),
     (("--motion-of", "good.mcap", "--rate", "500"), "say --rate 1000"),

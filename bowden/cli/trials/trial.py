@@ -13,7 +13,7 @@ import typer
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions
+from bowden.cli.option_groups import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, spelled
 from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def trial(
     output_files.refuse([output, picture], overwrite=overwrite, inputs=[
         *own.values(), reached.config, simulated.plant_model, motion_of])
     repeated_motion.refuse_beside(motion_of, experiment, {
-        **own, **walk.given(), "--dry-run": dry_run or None, "--homing-n": homing_n})
+        **own, **spelled(walk, strides), "--dry-run": dry_run or None, "--homing-n": homing_n})
     sections = reached.sections(rate)
     sections["network"] = configuration.with_monitor(sections["network"], monitor)
     sections["homing"] = configuration.homing(sections["homing"], homing_n)
