@@ -76,6 +76,11 @@ class Walk:
         return self.phase == "felt" or (not self.phase and self.strides > 0)
 
     @property
+    def parts(self) -> int:
+        """Return the number of strides and rests, which number the gait cycles of a trial; 0 where one repeats."""
+        return self.strides and self.strides + self.stops + self.sits
+
+    @property
     def differs(self) -> bool:
         """Whether strides differ or their phase is felt: anything but one stride that repeats on the clock."""
         return self.strides > 0 or self.felt

@@ -39,7 +39,7 @@ def metadata(experiment: ExperimentSetup, script: str = "") -> dict[str, str]:
         "peak_n": repr(gait.peak_n),
         "period_s": repr(gait.period_s),
         "course": course(experiment),
-        "cycles": str(experiment.walk.strides or gait.cycles),
+        "cycles": str(experiment.walk.parts or gait.cycles),
         "settle": str(gait.settle),
         "rate_hz": str(experiment.network.rate_hz),
         "bitrate": str(experiment.network.bitrate),

@@ -70,7 +70,7 @@ class Prepared:
         """Number of gait cycles, or laps of the script."""
         from master.motion.scripted_experiments import laps
 
-        cycles = self.experiment.walk.strides or self.experiment.gait.cycles
+        cycles = self.experiment.walk.parts or self.experiment.gait.cycles
         return laps(self.script, cycles) if self.script else cycles
 
     def planned(self) -> Planned | Scripted | PlannedPaths:
