@@ -21,12 +21,12 @@ WINDOW: Final = 12
 LOOK_AHEAD_S: Final = 0.03
 """Time by which the knee's angle is extrapolated at its speed, s: six times the STO delay that is assumed. Shorter:
 the leg is faster where it meets its end stop. Longer: a gait that nears the end of its range trips."""
-ROPE_SPAN: Final = 4
-"""Steps between the two speeds of the rope that give its acceleration. Fewer: quantisation counts as speed (46 mm/s).
-More: a stage that conducts is noticed later."""
-ROPE_AHEAD: Final = 6
-"""Spans by which the rope's speed is extrapolated at its acceleration: a span, and the STO delay that is assumed.
-Fewer: a stage that conducts gives the drum 80 mm/s more for each. More: a healthy start of the rope trips."""
+ROPE_SPAN, ROPE_AHEAD = 4, 6
+"""Steps between the two speeds of the rope that give its acceleration, and such spans ahead: one, and the STO delay.
+Fewer: quantisation counts as speed (46 mm/s), or a conducting stage gives the drum 80 mm/s more for each span ahead."""
+LOOSE_N, LOOSE_SHARE = 5.0, 1.25
+"""Tension at START below which the rope is loose, and the share of its bound that it may reach then: a controller that
+takes up slack gives the drum 61 m/s², a stage that conducts 70 m/s². Larger: more energy when the slack ends."""
 LATE_NS: Final = 20 * MS
 """Time between two steps from which on the monitor's own computer counts as stopped."""
 
@@ -106,7 +106,8 @@ def _force_rate(present: Present, bounds: Bounds) -> str:
 
 def _rope_speed(present: Present, bounds: Bounds) -> str:
     before = present.rates(3, WINDOW - 1 - ROPE_SPAN, WINDOW - ROPE_SPAN)
-    ahead = (now + (now - was) * ROPE_AHEAD for was, now in zip(before, present.rates(3, WINDOW - 1), strict=True))
+    ahead = ((now + (now - was) * ROPE_AHEAD) / (LOOSE_SHARE if path.start_n < LOOSE_N else 1.0)
+             for path, was, now in zip(present.paths, before, present.rates(3, WINDOW - 1), strict=True))
     return _above("rope about to wind in at", ahead, bounds.rope_m_s, "m/s")
 
 
