@@ -79,12 +79,13 @@ def test_rates_are_bounded_over_their_window_and_a_falling_tension_is_not() -> N
 
 
 def test_the_rope_is_bounded_ahead_of_a_drum_that_gains_speed_and_may_pay_out_faster() -> None:
-    per_step = 1e-9 * STEP_NS
+    per_step, taut = 1e-9 * STEP_NS, REST._replace(start_n=20.0)
     wound = np.cumsum(np.minimum(np.arange(400) / 200.0, 1.0)) * 0.8 * BOUNDS.rope_m_s * per_step
-    assert run([REST._replace(rope_m=rope) for rope in wound]).enabled
-    assert run([REST._replace(rope_m=-3.0 * rope) for rope in wound]).enabled
-    assert run([REST._replace(rope_m=1.3 * rope) for rope in wound]).cause is Emcy.MONITOR_ROPE
-    falling = [REST._replace(rope_m=0.5 * 80.0 * (per_step * n) ** 2) for n in range(80)]
+    assert run([taut._replace(rope_m=rope) for rope in wound]).enabled
+    assert run([taut._replace(rope_m=-3.0 * rope) for rope in wound]).enabled
+    assert run([taut._replace(rope_m=1.3 * rope) for rope in wound]).cause is Emcy.MONITOR_ROPE
+    assert run([REST._replace(rope_m=1.3 * rope) for rope in wound]).enabled, "slack that is taken up"
+    falling = [taut._replace(rope_m=0.5 * 80.0 * (per_step * n) ** 2) for n in range(80)]
     stopped = run(falling)
     assert stopped.cause is Emcy.MONITOR_ROPE
     assert stopped.time_ns <= 1_500_000, "before the drum is at 0.5 m/s when the torque goes, 5 ms later"
