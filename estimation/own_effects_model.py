@@ -73,7 +73,7 @@ class OwnEffectsModel(ForwardModel):
                 shape = {key: self._value(q, f"{name}.{key}")[acting] for key in each.shape}
                 plain = plain.copy() if plain.base is not None else plain
                 plain[acting] += self._added(each, q[:self._count, acting], sizes[:, acting], shape, trial)
-        return plain
+        return np.asarray(plain)
 
     def _value(self, q: Array, name: str) -> Array:
         i = self.constants.index[name]

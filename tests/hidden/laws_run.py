@@ -14,6 +14,7 @@ import csv
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -158,7 +159,7 @@ def _noise(given: Table, name: str) -> float:
     """Return 1σ of a signal's sensor noise on the data's bins."""
     from estimation.path_model import PATH_MODEL
 
-    own = PATH_MODEL.record(Table(given.source, {n: v for n, v in given.columns.items() if n != END})) \
+    own = PATH_MODEL.record(replace(given, columns={n: v for n, v in given.columns.items() if n != END})) \
         if name == START else PATH_MODEL.record(given)
     return float(own.noise_n[name])
 
