@@ -178,7 +178,7 @@ def limit(strides: Sequence[Stride], draws: int = 100) -> list[float]:
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the figures of walks that have bars, in their order."""
+    """Return the figures of walks that have a bar (a limit that they should keep), in the order of `BARS`."""
     if not rows:
         return ["–"] * 12
     asked, true, phase = (counted(rows, key) for key in (RMSE, TRUE_RMSE, "phase_error_rms_percent"))
@@ -190,7 +190,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def page(rows: Sequence[Mapping[str, Any]], bound: Sequence[float]) -> str:
-    """Return docs/strides.md; `bound`: what `limit` has of its strides."""
+    """Return the text of docs/strides.md; `bound`: median, 95 % and worst RMSE of a stride, %, that `limit` returns."""
     columns = [summary([row for row in rows if row["kind"] in kinds])
                for kinds in (("own", "family"), ("own",), ("family",))]
     parts = [

@@ -92,7 +92,7 @@ class OwnEffectsModel(ForwardModel):
         if function.depends != "nothing" and getattr(course.course, function.depends) is None:
             return np.zeros_like(slopes)  # a trial without the signal does not show the effect
         known: dict[tuple[float, ...], Array] = {}
-        out = np.empty_like(slopes)
+        out: Array = np.empty_like(slopes)
         for k in range(q.shape[1]):
             parameters = {key: float(values[k]) for key, values in shape.items()}
             key = tuple(parameters.values())

@@ -42,7 +42,7 @@ OWN: Final = {name: float(SESSION_SD[INDEX[row]]) for name, row in (
 
 
 def identified(trials: Sequence[Table]) -> tuple[ReferenceFit | None, str]:
-    """Fit the force path to reference trials of one bench; without a fit, why they are of no rope over a knee."""
+    """Fit the force path to reference trials of one bench; (None, a sentence) if they are of no rope over a knee."""
     outputs = [n for n in PATH_MODEL.signals if all(n in t for t in trials)]
     recordings = [PATH_MODEL.record(dataclasses.replace(t, columns={
         n: v for n, v in t.columns.items() if n not in PATH_MODEL.signals or n in outputs})) for t in trials]

@@ -10,7 +10,7 @@ import ast
 import operator
 from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -64,18 +64,19 @@ def _refuse(node: ast.AST, where: str) -> None:
 
 
 def compiled(text: str) -> Callable[[Signals], Array]:
-    """Return the function of its names that an expression is; `names_of` has accepted it."""
+    """Return an expression that `names_of` has accepted as a function of its signals and parameters; a value
+    that is not finite becomes 0."""
     tree = ast.parse(text, mode="eval").body
 
     def value(node: Any, signals: Signals) -> Any:
         if isinstance(node, ast.Constant):
-            return float(node.value)
+            return float(cast("float", node.value))  # `_refuse` allows int and float alone
         if isinstance(node, ast.Name):
             return signals[node.id]
         if isinstance(node, ast.UnaryOp):
             return OPERATORS[type(node.op)](value(node.operand, signals))
         if isinstance(node, ast.Call):
-            return FUNCTIONS[node.func.id][1](*(value(part, signals) for part in node.args))
+            return FUNCTIONS[cast("ast.Name", node.func).id][1](*(value(part, signals) for part in node.args))
         if isinstance(node, ast.Compare):
             return OPERATORS[type(node.ops[0])](value(node.left, signals), value(node.comparators[0], signals)) * 1.0
         return OPERATORS[type(node.op)](value(node.left, signals), value(node.right, signals))
