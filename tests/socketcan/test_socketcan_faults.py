@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import can
-import numpy as np
 import pytest
 
 from eds.error_frames import BUS_OFF, CONTROLLER, COUNTERS, PASSIVE_STATE, PROTOCOL
@@ -67,13 +66,12 @@ def send_many(link: Link) -> None:
 
 
 @pytest.mark.usefixtures("nodes")
-def test_a_whole_trial_pulls_and_candump_holds_the_same_frames(tmp_path: Path) -> None:
+def test_a_trial_completes_and_candump_holds_the_same_frames(tmp_path: Path) -> None:
     log = tmp_path / "candump.log"
     with log.open("w") as file, subprocess.Popen(["candump", "-r", "8000000", "-L", "vcan0"], stdout=file) as candump:
-        told = rig.trial(tmp_path, "vcan0", *rig.patient(tmp_path), *SHORT[:-1]).wait()
+        told = rig.trial(tmp_path, "vcan0", *rig.patient(tmp_path), *SHORT).wait()
         candump.terminate()
     assert (told.status, told.result["outcome"]) == (0, "completed"), told
-    assert np.nanmax(rig.recorded(tmp_path).columns["tension_end_n"]) > 5.0, "homed, then pulled"
     theirs = [(round(float(stamp) * 1e6), int(can_id, 16), bytes.fromhex(data)) for stamp, can_id, data in re.findall(
         r"^\((\S+)\) vcan0 ([0-9A-F]{3})#([0-9A-F]*)", log.read_text(), re.MULTILINE)]
     frames = rig.recorded(tmp_path).frames
