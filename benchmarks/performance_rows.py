@@ -28,7 +28,7 @@ from eds.bench import bus_load
 from eds.bench.bench_network import FILES, SERVO, Network, wire
 from eds.declaration import packaged as packaged_bench
 from eds.dictionary import packaged
-from eds.pdo_plan import Joined
+from eds.pdo_plan import JoinedUnpacker
 from master.cycle.log import Log
 from master.motion.experiment_run import ExperimentSetup, run
 from master.network.bringup import bring_up
@@ -67,7 +67,7 @@ def pdos() -> Iterator[Row]:
     described = wire(Network())
     plans = [plan for _, plan in sorted(described.tpdo.items())]
     frames = [plan.pack(*range(1, 1 + len(plan.keys))) for plan in plans]
-    together, block = Joined(plans), b"".join(struct.pack("<q8s", 0, frame) for frame in frames)
+    together, block = JoinedUnpacker(plans), b"".join(struct.pack("<q8s", 0, frame) for frame in frames)
     unpack, pack = together.unpack, described.targets.pack
     unpacks = [plan.unpack for plan in plans]
     to_si, from_si = together.unpack_si, described.targets.pack_si

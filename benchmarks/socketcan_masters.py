@@ -32,7 +32,7 @@ from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
 from master.cycle.log import Log
 from master.cycle.run_safely import run_safely
-from master.motion.experiment_run import ExperimentSetup, Planned
+from master.motion.experiment_run import ExperimentSetup, PreparedExperiment
 from master.network.host_computer import collector_frozen, prepared
 from master.network.link import WANTED, Link
 from master.network.recorded_bus import RecordedBus
@@ -69,7 +69,7 @@ def ours(
     """A dry run of `bowden trial`: controller, safety and recorder in every cycle; no bring-up where none is served."""
     network = Network(rate_hz=rate_hz)
     gait = Gait(peak_n=PEAK_N, period_s=PERIOD_S, cycles=math.ceil(cycles / rate_hz / PERIOD_S), settle=0)
-    planned = Planned(ExperimentSetup(paper_reference(PEAK_N, PERIOD_S), network, gait=gait, dry_run=True))
+    planned = PreparedExperiment(ExperimentSetup(paper_reference(PEAK_N, PERIOD_S), network, gait=gait, dry_run=True))
     walked = (gait.cycles + 1) * planned.table.samples + planned.rest - planned.first
     used = []
 

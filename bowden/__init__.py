@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from bowden.model_files import read as read_model
     from bowden.model_files import write as write_model
     from bowden.models.diagnosing import Diagnosis, DiagnosisResult
-    from bowden.models.discovering import Discovered, discover
+    from bowden.models.discovering import DiscoveryResult, discover
     from bowden.models.identification import StoppedError, fit, identify
     from bowden.models.simulating import Simulation, simulate
     from bowden.progress import Progress
@@ -51,7 +51,7 @@ _HOMES = {
     "Trial": "bowden.trials.recorded_trial",
     "Verified": "bowden.trials.experiment", "WalkPlan": "bowden.trials.planning", "bus": "bowden.bench.buses",
     "compare": "bowden.trials.recorded_trial", "discover": "bowden.models.discovering",
-    "Discovered": "bowden.models.discovering", "doctor": "bowden.bench.examination",
+    "DiscoveryResult": "bowden.models.discovering", "doctor": "bowden.bench.examination",
     "export": "bowden.trials.recorded_trial", "fit": "bowden.models.identification",
     "identify": "bowden.models.identification", "nominal": "bowden.model_files", "plan": "bowden.trials.planning",
     "read": "bowden.trials.recorded_trial:read_trial", "read_model": "bowden.model_files:read",
@@ -62,7 +62,7 @@ _HOMES = {
 """Each public name and the module that it is imported from when it is first used."""
 
 __all__ = [
-    "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Discovered", "Experiment", "InputError", "Lss",
+    "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "DiscoveryResult", "Experiment", "InputError", "Lss",
     "MendedBench", "Node", "Progress", "Simulation", "StoppedError", "Trial", "Verified", "WalkPlan", "bus", "compare",
     "discover", "doctor", "export", "fit", "identify", "mend", "nominal", "plan", "read", "read_model", "record",
     "replay", "run", "simulate", "simulated", "sweep", "testing", "verify", "write_model",

@@ -44,7 +44,7 @@ class Figures:
 
 
 @dataclass(frozen=True)
-class Compared:
+class SignalResiduals:
     """A measured signal and its residuals, measured less simulated, in `unit`, each of shape (samples,).
 
     `output`: name of the signal.  `before`: residual of the reference condition.  `session`: residual with the

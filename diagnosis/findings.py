@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from diagnosis.compared_signals import Compared, Figures
+from diagnosis.compared_signals import Figures, SignalResiduals
 from diagnosis.laws.law_result import Laws
 from physics.bench_model import BenchModel
 from physics.effects.hypotheses import Variant
@@ -42,8 +42,8 @@ class Findings:
     bench: BenchModel | None = field(default=None, repr=False)
     part: str | None = None
     evidence: dict[str, Any] | None = None
-    traces: Mapping[str, Sequence[Compared]] = field(default_factory=dict, repr=False)
-    held_traces: Mapping[str, Sequence[Compared]] = field(default_factory=dict, repr=False)
+    traces: Mapping[str, Sequence[SignalResiduals]] = field(default_factory=dict, repr=False)
+    held_traces: Mapping[str, Sequence[SignalResiduals]] = field(default_factory=dict, repr=False)
     undecided: str | None = None
     unexplained: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     variants: tuple[Variant, ...] = field(default=(), repr=False)

@@ -151,7 +151,7 @@ def _struct(fields: Sequence[Field]) -> struct.Struct | None:
     return struct.Struct("<" + "".join(f"{f.bits // 8}x" if f.dummy else f.code for f in fields))
 
 
-class Joined:
+class JoinedUnpacker:
     """One call for what several frames bring, from a buffer of `JOINED_BYTES` a frame, in the order of `plans`.
 
     Of each frame the buffer has a time stamp, ns (INTEGER64), and its data, padded to 8.  `unpack(buffer)` gives one

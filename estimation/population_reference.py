@@ -33,14 +33,14 @@ UNSTATED: Final = ("rope_zero", "home_preload")
 """Calibrated values that are not compared, since they depend on the tension at homing."""
 
 
-class Stated(NamedTuple):
+class CalibratedValue(NamedTuple):
     """Calibrated value of a parameter of the simulation, SI, and its 1σ."""
 
     value: float
     sd: float
 
 
-def stated_values(calibration: Mapping[str, Any] | None) -> dict[str, Stated]:
+def stated_values(calibration: Mapping[str, Any] | None) -> dict[str, CalibratedValue]:
     """Return the values that a calibration determines, by parameter of the simulation; each has an interval.
 
     1σ has the difference between the value's equation and that of the path, too (`SURROGATE`).
@@ -58,7 +58,7 @@ def stated_values(calibration: Mapping[str, Any] | None) -> dict[str, Stated]:
         row[:] = [(high[parameter] - low[parameter]) / (2.0 * 1.96) for parameter in middle]
     together = np.eye(len(names)) if model.correlation is None else model.correlation.over(names)
     variance = np.einsum("ip,ij,jp->p", moved, together, moved)
-    return {name: Stated(value, math.hypot(math.sqrt(max(of, 0.0)), SURROGATE * abs(value)))
+    return {name: CalibratedValue(value, math.hypot(math.sqrt(max(of, 0.0)), SURROGATE * abs(value)))
             for (name, value), of in zip(middle.items(), variance, strict=True) if of > 0.0}
 
 
@@ -103,7 +103,7 @@ def _zeros(model: ForwardModel) -> Array:
     return np.zeros(len(model.constants))
 
 
-def _calibrated(model: ForwardModel, stated: Mapping[str, Stated]) -> tuple[Array, Array]:
+def _calibrated(model: ForwardModel, stated: Mapping[str, CalibratedValue]) -> tuple[Array, Array]:
     """Return mean and covariance of the free constants' coordinates, given calibrated values.
 
     Mode of Σ((g(q) − v)/σ)² + Σ(q/bench_sd)², with the covariance of its linearisation.

@@ -36,7 +36,7 @@ The model's friction and stretch equations differ from the bench's.  With this v
 
 
 @dataclass(frozen=True)
-class Observed:
+class SessionData:
     """Data of the trials of one session, concatenated.
 
     `features`: Φ, shape (data, features).  `weight`: 1/σ², shape (data,).  `tau`: by output, the factor by which σ² is
@@ -242,7 +242,7 @@ def descended(x: Any, cost: Callable[[Any], float], linearised: Callable[[Any], 
             return x, now, here
 
 
-def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), start: Array | None = None,
+def mode(observed: SessionData, prior: Gaussian, variants: Sequence[Variant] = (), start: Array | None = None,
          descends: bool = True) -> PosteriorMode:
     """Return the posterior mode of trials; `variants` of effects widen the `prior`.
 
@@ -294,7 +294,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
                          here.weight, residual(x), mean)
 
 
-def screened(null: PosteriorMode, observed: Observed, variant: Variant, error: Array | None = None
+def screened(null: PosteriorMode, observed: SessionData, variant: Variant, error: Array | None = None
              ) -> tuple[float, Array]:
     """Return the linear log Bayes factor of a variant at the mode `null`, nats, and the sizes along its directions.
 
@@ -313,7 +313,7 @@ def bayes_factor(square: Array, pull: Array) -> tuple[float, Array]:
     return float(0.5 * pull @ size - 0.5 * np.linalg.slogdet(whole)[1]), size
 
 
-def response(null: PosteriorMode, observed: Observed, variant: Variant, further: Array | None = None
+def response(null: PosteriorMode, observed: SessionData, variant: Variant, further: Array | None = None
              ) -> tuple[Array, Array]:
     """Return E and C⁻¹[e, E] of a variant at the mode `null`, shapes (data, directions) and (data, directions + 1).
 
@@ -348,7 +348,7 @@ def response(null: PosteriorMode, observed: Observed, variant: Variant, further:
     return effect, applied
 
 
-def own_error(at: PosteriorMode, observed: Observed, prior: Gaussian, variant: Variant) -> Array:
+def own_error(at: PosteriorMode, observed: SessionData, prior: Gaussian, variant: Variant) -> Array:
     """Return columns of an error of the effect `variant` at its mode: its response times each feature of the states.
 
     Shape (data, features).  An effect's equation differs from the bench's by a share of the effect that depends on

@@ -22,8 +22,8 @@ from estimation.posterior import (
     HUBER,
     LONGEST,
     Gaussian,
-    Observed,
     PosteriorMode,
+    SessionData,
     bounded,
     descended,
     loss,
@@ -125,7 +125,7 @@ class ReferenceFit:
                 f"{self.contradicted:.1f} nats and is used for all of them. Another reference trial, of another peak "
                 "or cadence, would separate them.")
 
-    def missed(self, observed: Observed) -> Array:
+    def missed(self, observed: SessionData) -> Array:
         """Return the residual of the data from the averaged prediction of the reference trials' models, shape (data,).
 
         If sessions are pooled, the prediction is that of the bench.
@@ -165,16 +165,16 @@ class ReferenceFit:
         """Return further starts of a fit of a trial, besides the prior's mean: the modes of the reference trials."""
         return [np.concatenate([(q - self.origin)[list(self.model.constants.free)], c]) for q, c in self.identified]
 
-    def observe(self, *trials: Recording) -> Observed:
+    def observe(self, *trials: Recording) -> SessionData:
         """Return trials of one session as data with the features and weights of this bench."""
         states = [self.model.simulated_states(self.origin, trial) for trial in trials]
         made = [features(self.model, s, self.scaling, self.outputs) for s in states]
         beyond = [0.0 if self.reach is None else self.reach.exceeded(self.model.motion(t)) for t in trials]
         weight = np.concatenate([1.0 / variance(self, t, s) for t, s in zip(trials, states, strict=True)])
         growth = np.concatenate([self._grown(t, excess) for t, excess in zip(trials, beyond, strict=True)])
-        return Observed(self.model, trials, np.concatenate(made), weight, self.tau, self.cost, growth, max(beyond))
+        return SessionData(self.model, trials, np.concatenate(made), weight, self.tau, self.cost, growth, max(beyond))
 
-    def prior_of(self, observed: Observed) -> Gaussian:
+    def prior_of(self, observed: SessionData) -> Gaussian:
         """Return the prior of the session `observed`: session deviations grow where its motion exceeds the references'.
         """
         session = np.diag(self.prior.covariance - self.bench.covariance)
@@ -235,7 +235,8 @@ def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian, starts: i
     free, none = list(model.constants.free), np.zeros((trial.data.size, 0))
     weight = np.repeat([model.first_noise[n] ** -2 for n in trial.outputs], trial.bins)
     even = np.ones(len(trial.outputs))
-    rough, fine = (Observed(model, (trial,), none, w, even, 1.0, np.ones(w.size)) for w in (weight / HUBER**2, weight))
+    rough, fine = (SessionData(model, (trial,), none, w, even, 1.0, np.ones(w.size))
+                   for w in (weight / HUBER**2, weight))
     begin = [(at - prior.origin)[free] for at in model.scanned(model.origin(trial), trial)[:starts]]
     return min((mode(fine, prior, start=mode(rough, prior, start=start).x) for start in begin), key=lambda m: m.cost)
 

@@ -25,7 +25,7 @@ from estimation.data.table import Table, table
 from estimation.likelihood_data import PathRecording
 from estimation.linear_sums import EffectColumns, Sums, effect_columns, slopes, summed
 from estimation.outputs import predict
-from estimation.posterior import Observed, bayes_factor, bounded
+from estimation.posterior import SessionData, bayes_factor, bounded
 from estimation.reference_fit import ReferenceFit
 from physics.laws import Array
 from physics.path_constants import CONSTANTS, FREE, INDEX
@@ -62,7 +62,7 @@ class Naming(NamedTuple):
     """Rule by which an effect is named: threshold in nats by session; share of the best log Bayes factor from which an
     effect is in the ambiguity set."""
 
-    threshold: Callable[[Observed], float]
+    threshold: Callable[[SessionData], float]
     set_share: float
 
 

@@ -61,7 +61,7 @@ class Reset(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Integrated:
+class _IntegratedSessions:
     """Sessions with their deviations integrated out: S, g, K of each, and the log likelihood's constant part, nats."""
 
     square: Array
@@ -111,7 +111,7 @@ class SessionSequence:
 
     # -- scatter between sessions ------------------------------------------------------------------------------------
 
-    def integrated(self, variance: Array) -> _Integrated:
+    def integrated(self, variance: Array) -> _IntegratedSessions:
         """Return the sessions with deviations of `variance` of the free constants, SI coordinates, integrated out."""
         size = self.size
         squares, pulls, inners, constant = [], [], [], 0.0
@@ -128,7 +128,7 @@ class SessionSequence:
             constant -= float(np.log(np.diag(factor[0])).sum())
         share = variance / self.published
         prior = -0.5 * self.scatter_sessions * float(np.sum(np.log(share) + 1.0 / share))
-        return _Integrated(np.array(squares), np.array(pulls), np.array(inners), constant + prior)
+        return _IntegratedSessions(np.array(squares), np.array(pulls), np.array(inners), constant + prior)
 
     def _deviation(self, variance: Array) -> Array:
         """Return the variance between sessions of constants and discrepancy, relative to the population's."""
@@ -211,18 +211,18 @@ class SessionSequence:
         order = sorted(best.values(), key=lambda item: -item[0].nats)
         return [change for change, _ in order], order[0][1]
 
-    def _base(self, sessions: _Integrated) -> tuple[Array, Array, list[Array]]:
+    def _base(self, sessions: _IntegratedSessions) -> tuple[Array, Array, list[Array]]:
         """Return covariance and mean of (b, r) without a change, and the design of each session."""
         designs = [self.design(k) for k in range(self.count)]
         return *_solved(designs, sessions), designs
 
-    def _null(self, sessions: _Integrated) -> float:
+    def _null(self, sessions: _IntegratedSessions) -> float:
         """Return the log evidence of no change, nats."""
         covariance, mean, _ = self._base(sessions)
         return sessions.constant + 0.5 * float(mean @ np.linalg.solve(covariance, mean)) + 0.5 * float(
             np.linalg.slogdet(covariance)[1])
 
-    def _searched(self, sessions: _Integrated, none: float) -> list[Change]:
+    def _searched(self, sessions: _IntegratedSessions, none: float) -> list[Change]:
         """Return the best variant of each effect; `none`: log evidence of no change, nats."""
         more = self._null(sessions) - none
         base = self._base(sessions)
@@ -238,17 +238,17 @@ class SessionSequence:
                 best[part.effect] = change
         return [change._replace(nats=change.nats + more) for change in best.values()]
 
-    def _scattered(self, sessions: _Integrated, part: EffectColumns) -> _Integrated:
+    def _scattered(self, sessions: _IntegratedSessions, part: EffectColumns) -> _IntegratedSessions:
         """Return the sessions with a scatter between them of an effect that no constant of the bench has."""
         own = slice(self.size + part.at.start, self.size + part.at.stop)
         across = sessions.square[:, :, own]
         # a size of σ = SURROGATE in each session is integrated out
         solved = across @ np.linalg.inv(sessions.square[:, own, own] + np.eye(own.stop - own.start) / SURROGATE**2)
-        return _Integrated(sessions.square - solved @ across.transpose(0, 2, 1),
-                           sessions.pull - np.einsum("sia,sa->si", solved, sessions.pull[:, own]), sessions.inner,
-                           sessions.constant)
+        return _IntegratedSessions(
+            sessions.square - solved @ across.transpose(0, 2, 1),
+            sessions.pull - np.einsum("sia,sa->si", solved, sessions.pull[:, own]), sessions.inner, sessions.constant)
 
-    def _evidence(self, sessions: _Integrated, covariance: Array, mean: Array, designs: Sequence[Array],
+    def _evidence(self, sessions: _IntegratedSessions, covariance: Array, mean: Array, designs: Sequence[Array],
                   part: EffectColumns) -> Change:
         """Return the evidence of one variant, averaged over course and begin, with the likeliest of both."""
         cross = np.stack([u.T @ square[:, self.size:] for u, square in zip(designs, sessions.square, strict=True)])
@@ -324,7 +324,7 @@ class SessionSequence:
                 float(chi2.sf(squared, int(kept.sum()))))
 
 
-def _solved(designs: Sequence[Array], sessions: _Integrated) -> tuple[Array, Array]:
+def _solved(designs: Sequence[Array], sessions: _IntegratedSessions) -> tuple[Array, Array]:
     """Return covariance and mean of the parameters of `designs`, with a prior of N(0, 1)."""
     precision, pull = np.eye(designs[0].shape[1]), np.zeros(designs[0].shape[1])
     for u, square, g in zip(designs, sessions.square, sessions.pull, strict=True):

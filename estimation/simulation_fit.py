@@ -69,7 +69,7 @@ def bench_model_of(fit: ReferenceFit) -> BenchModel:
         n: ScalarEvidence(*q.interval()) for n, q in found.items()})
 
 
-class _Simulated:
+class _SimulatedTrial:
     """Comparison of one trial with the simulation; the last simulated plant is cached."""
 
     def __init__(self, given: Table, seconds: float) -> None:
@@ -105,7 +105,7 @@ def fitted(trials: Sequence[Table], fit: ReferenceFit, seconds: float = 6.0, ste
     widened by the `difference` between force path and simulation, relative to the size of each parameter.  1σ of a
     sample is 1 N.  Returns all parameters by name, SI.
     """
-    simulated, known = [_Simulated(t, seconds) for t in trials], parameters_of(fit)
+    simulated, known = [_SimulatedTrial(t, seconds) for t in trials], parameters_of(fit)
     start_values = simulation_values(fit.model.constants.named(fit.bench_coordinates()))
     names = [n for n in REFITTED if n in known]
     width = np.array([np.hypot(known[n].sd, difference * _size(ESTIMATED[n])) for n in names])

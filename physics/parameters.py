@@ -27,7 +27,7 @@ class Tolerance(NamedTuple):
     source: str
 
 
-class Assumed(NamedTuple):
+class Assumption(NamedTuple):
     """A controller's assumption before anything is measured, and the bounds of a measurement."""
 
     value: float
@@ -60,7 +60,7 @@ class Parameter:
     high: float
     source: str
     plant: str = ""
-    assumed: Assumed | None = None
+    assumed: Assumption | None = None
     ideal: float | None = None
     search: Range | None = None
     any_rig: Range | None = None
@@ -96,7 +96,7 @@ _T = Tolerance
 
 def _measured(name: str, unit: str, meaning: str, value: float, low: float, high: float, source: str) -> Parameter:
     """Return a scalar of a calibration that the simulation does not have, so that its value is an assumption."""
-    return Parameter(name, unit, meaning, value, low, high, source, assumed=Assumed(value, low, high, source))
+    return Parameter(name, unit, meaning, value, low, high, source, assumed=Assumption(value, low, high, source))
 
 
 _FRICTION: Final = (
@@ -107,8 +107,8 @@ _FRICTION: Final = (
        daily=_T("factor", 0.10, "assumed: temperature, humidity")),
     _P("mu2", "", "friction coefficient μ2 of fabric on the knee", 0.15, 0.0, 1.0,
        "assumed: with the wrap an exponent of 0.10 at 13–20 % of gait", plant="plant.mu2",
-       assumed=Assumed(0.12, 0.0, 1.0, "assumed: equation (7) gives the law, the paper no number",
-                       "friction coefficient of the fabric on the knee, μ2"),
+       assumed=Assumption(0.12, 0.0, 1.0, "assumed: equation (7) gives the law, the paper no number",
+                          "friction coefficient of the fabric on the knee, μ2"),
        ideal=0.0, any_rig=(0.0, 2.0), likely=(0.05, 0.6),
        made=_T("factor", 0.25, "assumed: weave, finish of the knee"),
        daily=_T("factor", 0.10, "assumed: temperature, humidity")),
@@ -116,11 +116,11 @@ _FRICTION: Final = (
        plant="plant.theta1_rad", any_rig=(0.0, 20.0)),
     _P("phi0", "rad", "wrap angle φ0 at the upright knee", 0.15, 0.0, 4.0, "assumed: strap held off the knee",
        plant="plant.wrap_rad",
-       assumed=Assumed(0.4, 0.0, 6.3, "assumed: φ = φ0 + κ·|θk|", "wrap of the fabric at the upright knee, φ0"),
+       assumed=Assumption(0.4, 0.0, 6.3, "assumed: φ = φ0 + κ·|θk|", "wrap of the fabric at the upright knee, φ0"),
        any_rig=(0.0, 6.0), made=_T("factor", 0.25, "assumed: fit of the strap")),
     _P("fabric_wrap", "1/rad", "κ: φ = φ0 + κ·|θk|", 1.0, 0.0, 4.0, "assumed: the wrap grows with the flexion",
        plant="plant.fabric_wrap",
-       assumed=Assumed(1.0, 0.0, 3.0, "assumed: φ = φ0 + κ·|θk|", "wrap gained per radian of flexion, κ"),
+       assumed=Assumption(1.0, 0.0, 3.0, "assumed: φ = φ0 + κ·|θk|", "wrap gained per radian of flexion, κ"),
        ideal=0.0, any_rig=(0.0, 4.0), likely=(0.3, 1.7),
        made=_T("factor", 0.10, "assumed: fit of the strap")),
     _P("cable_bend", "1/rad", "κb: θ1 = θ10·(1 + κb·|θk|)", 0.0, -0.7, 2.0, "assumed: the sheath is clamped",
@@ -128,13 +128,13 @@ _FRICTION: Final = (
        neutral=0.0),
     _P("load_slope", "", "λ: μ1 and μ2 times 1 + λ·(T/40 N − 1)", 0.0, -0.9, 2.0, "assumed: Amontons' law",
        plant="plant.load_slope",
-       assumed=Assumed(0.0, -0.9, 2.0, "assumed: Amontons' law", "λ: both exponents times 1 + λ·(T/40 N − 1)"),
+       assumed=Assumption(0.0, -0.9, 2.0, "assumed: Amontons' law", "λ: both exponents times 1 + λ·(T/40 N − 1)"),
        search=(-0.8, 0.8), any_rig=(-0.8, 0.8), likely=(-0.4, 0.4),
        neutral=0.0),
     _P("viscous", "N·s/m", "viscous friction of rope in sheath, whole length", 0.0, 0.0, 60.0,
        "paper, 3.1: Coulomb friction only", plant="plant.viscous",
-       assumed=Assumed(0.0, 0.0, 200.0, "paper, 3.1: Coulomb friction only",
-                       "viscous friction of the rope in its sheath"),
+       assumed=Assumption(0.0, 0.0, 200.0, "paper, 3.1: Coulomb friction only",
+                          "viscous friction of the rope in its sheath"),
        any_rig=(-1e4, 1e4),
        likely=(3.0, 20.0), neutral=0.0),
     _P("stribeck_ratio", "", "static over sliding friction μs/μc, of rope and fabric", 1.0, 0.3, 5.0,
@@ -143,12 +143,12 @@ _FRICTION: Final = (
        daily=_T("excess", 0.3, "assumed: breakaway after a night's rest; paper, Fig. 15")),
     _P("stribeck_speed", "m/s", "Stribeck speed vs", 0.01, 5e-4, 0.2, "assumed: greased steel",
        plant="plant.stribeck_speed_m_s",
-       assumed=Assumed(0.01, 5e-4, 0.2, "assumed: greased steel", "sliding speed at which breakaway has gone, vs"),
+       assumed=Assumption(0.01, 5e-4, 0.2, "assumed: greased steel", "sliding speed at which breakaway has gone, vs"),
        search=(1e-3, 0.1), any_rig=(1e-3, 0.1), likely=(2e-3, 30e-3)),
     _P("presliding", "m", "rope travel δ over which friction turns over", 0.1e-3, 0.02e-3, 3e-3,
        "assumed: Dahl model of tendon sheaths (Palli)", plant="plant.presliding_m",
-       assumed=Assumed(2e-4, 1e-6, 5e-3, "assumed: 0.05–1 mm",
-                       "rope travel over which the sheath's friction turns over"),
+       assumed=Assumption(2e-4, 1e-6, 5e-3, "assumed: 0.05–1 mm",
+                          "rope travel over which the sheath's friction turns over"),
        ideal=1e-6, any_rig=(1e-6, 3e-3), likely=(50e-6, 1e-3),
        made=_T("factor", 0.30, "assumed: as friction, and more")),
     _P("fabric_presliding_ratio", "", "the fabric's pre-sliding travel over the rope's", 1.0, 0.1, 5.0,
@@ -160,13 +160,13 @@ _FRICTION: Final = (
        any_rig=(-1e3, 1e3)),
     _P("stribeck_memory", "s", "time by which the Stribeck curve lags the sliding speed", 20e-3, 1e-3, 0.1,
        "assumed: frictional memory (Hess and Soom)", plant="plant.stribeck_memory_s",
-       assumed=Assumed(0.01, 1e-3, 0.5, "assumed: frictional memory (Hess and Soom)",
-                       "time by which friction lags the sliding speed"),
+       assumed=Assumption(0.01, 1e-3, 0.5, "assumed: frictional memory (Hess and Soom)",
+                          "time by which friction lags the sliding speed"),
        ideal=0.0, any_rig=(0.0, 0.1), likely=(2e-3, 38e-3)),
     _P("fabric_presliding", "m", "travel on the knee over which friction turns over", 0.1e-3, 0.02e-3, 3e-3,
        "assumed: as the rope's", plant="plant.fabric_presliding_m",
-       assumed=Assumed(2e-4, 1e-6, 5e-3, "assumed: as presliding",
-                       "fabric travel over which the knee's friction turns over"),
+       assumed=Assumption(2e-4, 1e-6, 5e-3, "assumed: as presliding",
+                          "fabric travel over which the knee's friction turns over"),
        made=_T("factor", 0.30, "assumed: as friction, and more")),
     _P("friction_drift_time", "s", "time, from the start of the plant, that friction_drift refers to", 20.0, 1.0, 1e6,
        "assumed: ten gait cycles of 2 s", plant="plant.friction_drift_s"),
@@ -185,8 +185,8 @@ _PATH: Final = (
        "assumed: lead_compliance and half of sheath_compliance", ideal=0.1, any_rig=(0.0, 1.0)),
     _P("home_preload", "N", "START tension at which homing fixes the encoder's zero", 20.0, 0.0, 20.0,
        "equation (10), lower end of its identification",
-       assumed=Assumed(20.0, 1.0, 60.0, "equation (10), lower end of its identification",
-                       "START tension at which (10) fixes the encoder zero"),
+       assumed=Assumption(20.0, 1.0, 60.0, "equation (10), lower end of its identification",
+                          "START tension at which (10) fixes the encoder zero"),
        ideal=0.0, any_rig=(0.0, 20.0)),
     _P("creep_compliance", "m/N", "J: creep γ̇ = (J·T − γ)/τ", 0.0, 0.0, 0.2e-3, "paper, 3.2: elastic fabric",
        plant="plant.creep_compliance", any_rig=(0.0, 2e-4), likely=(0.01e-3, 0.04e-3), neutral=0.0,
@@ -197,13 +197,13 @@ _PATH: Final = (
        plant="plant.slack_m", any_rig=(-5e-3, 2e-2), likely=(0.5e-3, 5e-3), neutral=0.0),
     _P("rope_zero", "m", "servo position of the taut, unloaded rope at the knee angle of 13 % of gait", 9.7e-3,
        -1.0, 1.0, "(10): ck", plant="plant.encoder_zero_m",
-       assumed=Assumed(9.7e-3, -1.0, 1.0, "equation (10), ck", "encoder position that (10) gives at no force"),
+       assumed=Assumption(9.7e-3, -1.0, 1.0, "equation (10), ck", "encoder position that (10) gives at no force"),
        ideal=0.0, any_rig=(-1.0, 1.0),
        daily=_T("offset", 0.1e-3, "repeatability of homing to a preload")),
     _P("rope_per_knee", "m/rad", "k2: rope displacement per knee angle", laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE,
        0.005, 0.2, "(11): k2", plant="plant.rope_per_knee",
-       assumed=Assumed(0.706e-3 * 180 / math.pi, 0.0, 0.2, "equation (11), k2",
-                       "rope that one radian of the knee takes"),
+       assumed=Assumption(0.706e-3 * 180 / math.pi, 0.0, 0.2, "equation (11), k2",
+                          "rope that one radian of the knee takes"),
        search=(0.9 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE), 1.1 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE)),
        any_rig=(-10.0, 10.0),
        likely=(0.95 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE), 1.05 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE))),
@@ -256,8 +256,8 @@ def _sensor(
 
 _START: Final = _sensor(
     "start", (-1e3, 1e3),
-    {"assumed": Assumed(1.0, 0.8, 1.25, "assumed: both true", "START's reading by END's where no friction is between")},
-    {"assumed": Assumed(0.0, -10.0, 10.0, "assumed", "START reading with a slack rope"),
+    {"assumed": Assumption(1.0, 0.8, 1.25, "assumed: both true", "START's reading by END's, without friction between")},
+    {"assumed": Assumption(0.0, -10.0, 10.0, "assumed", "START reading with a slack rope"),
      "daily": _T("offset", 0.2, "assumed: temperature of the bridge")})
 _END: Final = _sensor("end", (-20.0, 20.0), {}, {})
 _SENSORS: Final = (
@@ -279,7 +279,7 @@ _SENSORS: Final = (
        plant="start_sensor.cutoff_hz end_sensor.cutoff_hz"),
     _P("start_noise", "N", "noise of a sample, rms", 0.15, 0.0, 20.0, "assumed: 0.075 % of full scale",
        plant="start_sensor.noise_n",
-       assumed=Assumed(0.15, 0.0, 5.0, "assumed", "standard deviation of START at rest")),
+       assumed=Assumption(0.15, 0.0, 5.0, "assumed", "standard deviation of START at rest")),
     _P("drift_time", "s", "time, from the start, that drift_n refers to", 20.0, 0.1, 1e6,
        "assumed: ten gait cycles of 2 s", plant="start_sensor.drift_s end_sensor.drift_s"),
     _P("quantum", "N", "step to which the signal is rounded; 0: the converter's own", 0.0, 0.0, 20.0,
@@ -327,11 +327,11 @@ _DRIVES: Final = (
     _P("supply_ohm", "Ω", "internal resistance of the supply (sag)", 0.0, 0.0, 5.0, "assumed: a stiff supply",
        plant="plant.supply_ohm", any_rig=(0.0, 5.0), likely=(1.0, 5.0), neutral=0.0),
     _P("servo_bandwidth", "Hz", "bandwidth of the servo's position loop", 25.0, 1.0, 500.0, "assumed",
-       assumed=Assumed(25.0, 1.0, 500.0, "assumed"),
+       assumed=Assumption(25.0, 1.0, 500.0, "assumed"),
        any_rig=(1.0, 500.0)),
     _P("servo_delay", "s", "from a target sent to its first sight in the inputs", 2e-3, -0.01, 0.1,
        "control timing: two SYNC periods at 1 kHz",
-       assumed=Assumed(2e-3, 0.0, 0.1, "control timing: two SYNC periods at 1 kHz"),
+       assumed=Assumption(2e-3, 0.0, 0.1, "control timing: two SYNC periods at 1 kHz"),
        any_rig=(-0.01, 0.1)),
     _P("supply", "V", "supply voltage", 48.0, 0.0, 60.0, "paper, 5.2", plant="plant.supply_v"),
     _P("torque_constant", "N·m/A", "torque and back-EMF constant at the output", 0.9, 0.05, 2.0,
@@ -403,22 +403,22 @@ _MEASURED: Final = (
     _measured("swing_p", "m", "encoder position at the upright knee under 20 N", 22.17e-3, -1.0, 1.0,
               "equation (11), p2"),
     _P("cable_exponent", "", "capstan exponent of the cable, μ1·θ", 0.08 * math.pi / 2, 0.0, 1.0, "mu1, theta1",
-       assumed=Assumed(0.13, 0.0, 1.0, "assumed: equation (3) gives the law, the paper no number")),
+       assumed=Assumption(0.13, 0.0, 1.0, "assumed: equation (3) gives the law, the paper no number")),
     _P("cable_compliance", "m/N", "stretch of the rope on the START side of the friction", 0.024e-3 + 0.5 * 0.008e-3,
        0.0, 1e-3, "lead_compliance and half of sheath_compliance",
-       assumed=Assumed(3.7e-5, 0.0, 1e-3, "assumed: 27 N/mm against a stuck rope")),
+       assumed=Assumption(3.7e-5, 0.0, 1e-3, "assumed: 27 N/mm against a stuck rope")),
     _P("breakaway", "", "friction that rest adds to sliding friction, relative, β", 0.0, 0.0, 4.0, "stribeck_ratio",
-       assumed=Assumed(0.0, 0.0, 4.0, "assumed: none on the day of identification")),
+       assumed=Assumption(0.0, 0.0, 4.0, "assumed: none on the day of identification")),
     _P("fabric_breakaway", "", "friction that rest adds to sliding friction of the fabric on the knee, relative", 0.0,
        0.0, 4.0, "stribeck_ratio",
-       assumed=Assumed(0.0, 0.0, 4.0, "assumed: none on the day of identification")),
+       assumed=Assumption(0.0, 0.0, 4.0, "assumed: none on the day of identification")),
     _P("viscous_tension", "N", "tension from which the rope's viscous friction acts in full, in proportion below", 10.0,
        1.0, 100.0, "assumed: a slack rope does not press on its sheath",
-       assumed=Assumed(10.0, 0.1, 100.0, "assumed: a slack rope does not press on its sheath"),
+       assumed=Assumption(10.0, 0.1, 100.0, "assumed: a slack rope does not press on its sheath"),
        ideal=0.0, any_rig=(0.0, 100.0)),
     _P("fabric_share", "", "share of the fabric's stretch on the rope's side of the knee", 0.425, 0.0, 1.0,
        "fabric_share_before and half of what lies on the knee",
-       assumed=Assumed(0.4, 0.0, 1.0, "assumed: geometry")),
+       assumed=Assumption(0.4, 0.0, 1.0, "assumed: geometry")),
     _measured("start_lag", "s", "time by which START's reading lags its force", 1e-3, 0.0, 0.1,
               "assumed: a low-pass of 200 Hz and half a sampling interval"),
     _measured("homed_friction", "", "friction that homing finds where it is what was identified", 1.0, 0.5, 2.0,

@@ -52,7 +52,7 @@ class BusSettings:
         return "" if self.serial is None else f"virtual {self.serial}"
 
 
-class Opened(NamedTuple):
+class OpenBus(NamedTuple):
     """The master's bus, the recorder's monitor socket, the clock, ns, of their stamps, and the computer.
 
     On the kernel's CAN the bus is the monitor socket, too: it keeps every frame that it reads until the recorder
@@ -192,7 +192,7 @@ def _open(arguments: dict[str, Any]) -> Any:
 
 
 @contextmanager
-def opened(chosen: BusSettings, network: Network, *, truth: Path | None = None) -> Iterator[Opened]:
+def opened(chosen: BusSettings, network: Network, *, truth: Path | None = None) -> Iterator[OpenBus]:
     """Open the master's bus and the tap; both are closed at the end."""
     bitrate = network.bitrate
     from master.network.host_computer import prepared
@@ -201,14 +201,14 @@ def opened(chosen: BusSettings, network: Network, *, truth: Path | None = None) 
     if chosen.arguments["interface"] == KERNEL:
         with opened_one(chosen, bitrate, recorded=True) as bus:
             bus.set_filters(WANTED)
-            yield Opened(bus, bus, time.time_ns, prepared)
+            yield OpenBus(bus, bus, time.time_ns, prepared)
         return
     if chosen.own_bench:
         chosen = replace(chosen, arguments={**chosen.arguments, "channel": f"{BENCH} {next(_NUMBERS)}"})
     more = {**simulating(network), "truth": None if truth is None else str(truth)} if chosen.simulated else {}
     with opened_one(chosen, bitrate, **more) as bus, opened_one(chosen, bitrate) as tap:
         if chosen.simulated:
-            yield Opened(bus, tap, bus.time_ns, lambda: nullcontext([]))
+            yield OpenBus(bus, tap, bus.time_ns, lambda: nullcontext([]))
         else:
             bus.set_filters(WANTED)
-            yield Opened(bus, tap, time.time_ns, prepared)
+            yield OpenBus(bus, tap, time.time_ns, prepared)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def discover(trials: Given | Iterable[Given], healthy: Given | Iterable[Given], *, lowpass_hz: float | None = None,
-             path: str | None = None) -> Discovered:
+             path: str | None = None) -> DiscoveryResult:
     """Return the terms that extend the model of `healthy`, trials in the reference condition, in `trials`.
 
     `trials`: of one session.  `lowpass_hz`, `path`: as of `bowden.Diagnosis`.  Raises `InputError` for unusable files.
@@ -27,10 +27,10 @@ def discover(trials: Given | Iterable[Given], healthy: Given | Iterable[Given], 
     tables = [table_of(trial, path) for trial in chosen]
     finder = Finder(None, lowpass_hz).examine([table_of(trial, path) for trial in several(healthy)])
     laws, bench = finder.discover(tables)
-    return Discovered(laws, bench, [table.source for table in tables])
+    return DiscoveryResult(laws, bench, [table.source for table in tables])
 
 
-class Discovered:
+class DiscoveryResult:
     """Result of a discovery: `laws`, with terms and errors, and the bench model that they extend (None: a rig)."""
 
     def __init__(self, laws: Laws, bench: BenchModel | None, trials: Sequence[str]) -> None:

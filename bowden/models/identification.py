@@ -28,7 +28,7 @@ class StoppedError(Exception):
     """The bench stopped before there was a result; the text is the reason, in one sentence."""
 
 
-class Identified(NamedTuple):
+class IdentificationResult(NamedTuple):
     """Why it stopped (None: it did not), the calibration, and the experiments that it was fitted to.
 
     With a reason and a calibration a gait trial stopped: the discrepancy is of the gait trials before it, if any.
@@ -44,7 +44,7 @@ class Identified(NamedTuple):
 def perform(
     what: str, sections: Mapping[str, Any], guess: Path | Calibration | None, chosen: BusSettings, recording: Path, *,
     date: str, gait: bool = True, overwrite: bool = False, progress: Progress = SILENT,
-) -> list[Identified]:
+) -> list[IdentificationResult]:
     """Run the experiments of `what` on a bus, recorded in `recording`; return the calibration of each force path.
 
     On a bench of several paths a file `guess` names one file of each path (`force_paths.file_of`). "all" ends with gait
@@ -79,7 +79,7 @@ def perform(
         with session.discarding(recorder), progress.running(f"identify {what}") as update:
             progress.remark(identify.pulls(wanted, gait=gait and identify.with_gait(what, network)))
             outcome, segments = identify.run(link, bus.tap, recorder, wanted, lambda _part, share: update(share))
-        found = [Identified(outcome.reason, None, own, path)
+        found = [IdentificationResult(outcome.reason, None, own, path)
                  for path, own in zip(paths, segments.values(), strict=True)]
         if outcome.reason is None:
             with progress.waiting("fitting"):
@@ -104,7 +104,7 @@ def perform(
     return found
 
 
-def _walked(reason: str | None, gaits: Sequence[Segment], found: Identified) -> Identified:
+def _walked(reason: str | None, gaits: Sequence[Segment], found: IdentificationResult) -> IdentificationResult:
     """Return an identification with the discrepancy fitted to its gait trials; `reason`: why these stopped."""
     from master.identification import identify
 
@@ -115,7 +115,7 @@ def _walked(reason: str | None, gaits: Sequence[Segment], found: Identified) -> 
 
 def again(
     what: str, trials: Sequence[Path], guess: Path | Calibration | None, *, date: str, progress: Progress = SILENT
-) -> Identified:
+) -> IdentificationResult:
     """Fit recorded experiments of one bench again; without a `guess` the fit starts from the first trial's calibration.
 
     Raises `InputError` for trials of two benches, or where an experiment that `what` needs is in none of them.
@@ -135,7 +135,7 @@ def again(
     with progress.waiting("fitting"):
         found = identify.calibrate(what, segments, start, bench=next(iter(benches), ""), date=date,
                                    trial=", ".join(path.name for path in trials))
-        return Identified(None, identify.with_discrepancy(found, segments), segments)
+        return IdentificationResult(None, identify.with_discrepancy(found, segments), segments)
 
 
 def _calibration(given: Path | Calibration | None) -> Calibration | None:
@@ -175,7 +175,7 @@ def identify(
     return _model(found)
 
 
-def _model(found: Identified) -> BenchModel:
+def _model(found: IdentificationResult) -> BenchModel:
     from physics.bench_model import of_calibration
 
     if found.calibration is None:

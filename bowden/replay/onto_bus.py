@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Played:
+class PlaybackResult:
     """Result of playing: frames sent, passes begun, frames that restored the state before, frames the bus refused.
 
     `left_out` counts unsendable frames by kind; `lateness` is the delay of frames at the bus.
@@ -85,11 +85,11 @@ class Playing:
         """True if every frame was played."""
         return self.player.status.value == "ended"
 
-    def played(self) -> Played:
+    def played(self) -> PlaybackResult:
         """Return the figures so far."""
         player = self.player
-        return Played(player.sent, player.pass_ + 1, player.status, self._restored, self._outlet.lost,
-                      player.schedule.left_out, player.lateness())
+        return PlaybackResult(player.sent, player.pass_ + 1, player.status, self._restored, self._outlet.lost,
+                              player.schedule.left_out, player.lateness())
 
 
 @contextmanager
@@ -115,7 +115,7 @@ def opened(
 def replay(
     recorded: Trial, selection: Selection, chosen: BusSettings, channels: Mapping[int, str] | None = None, *,
     speed: float = 1.0, loops: int = 1, progress: Progress = SILENT,
-) -> Played:
+) -> PlaybackResult:
     """Play the frames that `selection` names, in their time."""
     with opened(recorded, selection, chosen, channels, speed=speed, loops=loops) as playing:
         with progress.running("replay") as update:

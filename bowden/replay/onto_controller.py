@@ -20,8 +20,8 @@ from estimation.transfer.homing_fit import HomingFit
 from master.control.controller import Kind
 from master.cycle.inputs import NOTHING, CycleAnnotations, Inputs
 from master.cycle.safety import StopError
-from master.motion.experiment_run import ExperimentSetup, Planned
-from master.motion.home import Homed
+from master.motion.experiment_run import ExperimentSetup, PreparedExperiment
+from master.motion.home import HomingResult
 from parameters import InputError
 from trial.read import Trial
 from trial.signals import PDO_NAMES, TRACE
@@ -129,8 +129,8 @@ def step_again(
     recorded: Trial, experiment: ExperimentSetup, progress: Callable[[float], None] = lambda share: None
 ) -> RecordedInputs:
     """Step the controller of `experiment` over a trial's rows; return its outputs by row."""
-    planned = Planned(experiment)
-    planned.homed = Homed(math.nan, _day(recorded, experiment, planned.kind))
+    planned = PreparedExperiment(experiment)
+    planned.homed = HomingResult(math.nan, _day(recorded, experiment, planned.kind))
     recording = RecordedInputs(recorded, wire(experiment.network), walked(recorded), progress,
                                tuple(signal.name for signal in planned.own_signals))
     with contextlib.suppress(EndedError, StopError):

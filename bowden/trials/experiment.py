@@ -62,7 +62,7 @@ class Experiment:
     dry_run: bool = False
     configuration: str | Path | None = None
 
-    def prepared(self, bus: BusSettings, progress: Progress = SILENT) -> session.Prepared:
+    def prepared(self, bus: BusSettings, progress: Progress = SILENT) -> session.PreparedTrial:
         """Check the experiment for a bus; raises `InputError` for unusable input before a frame is sent."""
         sections = configuration.read(None if self.configuration is None else Path(self.configuration))
         sections["network"] = self._overridden(sections["network"], _OF_NETWORK)

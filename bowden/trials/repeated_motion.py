@@ -19,7 +19,7 @@ from parameters import InputError
 
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
-    from bowden.trials.session import Prepared
+    from bowden.trials.session import PreparedTrial
     from master.control.repeated import RecordedTargets
     from trial.read import Trial
 
@@ -47,7 +47,9 @@ def refuse_beside(given: Path | None, experiment: str | None, others: Mapping[st
         raise InputError(f"--motion-of repeats a trial as it was; leave {', '.join(beside)} out.")
 
 
-def prepared(given: Path, sections: Mapping[str, Any], chosen: BusSettings, allowed: str | None = None) -> Prepared:
+def prepared(
+    given: Path, sections: Mapping[str, Any], chosen: BusSettings, allowed: str | None = None,
+) -> PreparedTrial:
     """Return the experiment that repeats the motion of the trial `given` under today's `sections`.
 
     `allowed`: the controller "module:Class" that may be imported because the trial names it.  Raises `InputError` for

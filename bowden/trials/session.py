@@ -24,7 +24,7 @@ from trial.signals import Signal, of_bench
 
 if TYPE_CHECKING:
     from master.cycle.log import CycleSink
-    from master.motion.experiment_run import ExperimentSetup, Planned, Result
+    from master.motion.experiment_run import ExperimentSetup, PreparedExperiment, Result
     from master.motion.paths_run import PlannedPaths
     from master.motion.scripted_experiments import Scripted
     from master.settings import Gait, Walk
@@ -49,7 +49,7 @@ class Watch(Protocol):
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedTrial:
     """A checked experiment, the bus it will run on, and the sections and other files it came from.
 
     `script` names the experiment of the catalogue that is run in place of the gait; "" for the gait.
@@ -73,16 +73,16 @@ class Prepared:
         cycles = self.experiment.walk.parts or self.experiment.gait.cycles
         return laps(self.script, cycles) if self.script else cycles
 
-    def planned(self) -> Planned | Scripted | PlannedPaths:
+    def planned(self) -> PreparedExperiment | Scripted | PlannedPaths:
         """Return the experiment with its tables and a tested controller; raises `InputError` for unusable ones."""
-        from master.motion.experiment_run import Planned
+        from master.motion.experiment_run import PreparedExperiment
         from master.motion.scripted_experiments import Scripted
 
         if self.paths:
             from master.motion.paths_run import PlannedPaths
 
             return PlannedPaths(self.paths, self.experiment, self.script)
-        return Scripted(self.experiment, self.script) if self.script else Planned(self.experiment)
+        return Scripted(self.experiment, self.script) if self.script else PreparedExperiment(self.experiment)
 
 
 def entered(sections: dict[str, Any], logbook: Path | None, config: Path | None) -> Path | None:
@@ -186,7 +186,7 @@ def prepare(
     sections: Mapping[str, Any], reference: Reference, calibration: Path | BenchModel | None, chosen: BusSettings,
     *, dry_run: bool, controller_model: Path | BenchModel | None = None, files: Mapping[str, bytes] | None = None,
     script: str | None = None, knee: Path | None = None,
-) -> Prepared:
+) -> PreparedTrial:
     """Join sections to an experiment that can be run; raises `InputError` if it cannot.
 
     `calibration` is the bench model that the controller works from, `controller_model` one whose effects it
@@ -231,15 +231,15 @@ def prepare(
     experiment = ExperimentSetup(reference=reference, calibration=measured, dry_run=dry_run,
                                  strides=strides(knee, walk), **beyond(model, told), **sections)
     attached = controller_model or (model if any(beyond(model).values()) else None)
-    return Prepared(experiment, sections, chosen, {**files, **provenance.controller_model(attached)},
-                    script or "", controller.signals(kind, walking))
+    return PreparedTrial(experiment, sections, chosen, {**files, **provenance.controller_model(attached)},
+                         script or "", controller.signals(kind, walking))
 
 
 def _several_paths(
     sections: Mapping[str, Any], reference: Reference, calibration: Path | BenchModel | None,
     controller_model: Path | BenchModel | None, chosen: BusSettings, dry_run: bool, script: str | None,
     files: Mapping[str, bytes],
-) -> Prepared:
+) -> PreparedTrial:
     """Join sections to an experiment of several force paths; each path has its calibration file."""
     from master.control import controller
     from master.motion.experiment_run import ExperimentSetup
@@ -258,8 +258,8 @@ def _several_paths(
             whole, path, calibration=measured, **beyond(model, told))
         refuse_beyond_validity(measured, setups[path.name].reference.peak_n)
     kind = controller.find(sections["gait"].controller, where="--controller")
-    return Prepared(whole, sections, chosen, files, script or "",
-                    controller.signals(kind), setups)
+    return PreparedTrial(whole, sections, chosen, files, script or "",
+                         controller.signals(kind), setups)
 
 
 def _read(given: Path | BenchModel | None, bench: str = "") -> BenchModel | None:
@@ -288,7 +288,7 @@ def beyond(*models: Path | BenchModel | None) -> dict[str, Any]:
 
 
 def perform(
-    prepared: Prepared, output: Path, picture: Path | None = None, *, overwrite: bool = False,
+    prepared: PreparedTrial, output: Path, picture: Path | None = None, *, overwrite: bool = False,
     progress: Progress = SILENT, announce: str = "", watch: Sequence[Watch] = (),
 ) -> dict[str, Any]:
     """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys.
@@ -322,7 +322,7 @@ def perform(
         if announce:
             progress.remark(f"{announce} {planned.pulls}")
         with progress.running("trial") as update, bus.host() as refused:
-            sink: CycleSink = Watched(recorder, update, prepared.laps, signals)
+            sink: CycleSink = ProgressRecorder(recorder, update, prepared.laps, signals)
             for one in watch:
                 sink = one.beside(sink)
             for sentence in refused:
@@ -365,12 +365,12 @@ def set_aside(output: Path, truth: Path | None) -> tuple[Path, Path | None]:
     return failed, aside
 
 
-def _session_of(prepared: Prepared) -> dict[str, str]:
+def _session_of(prepared: PreparedTrial) -> dict[str, str]:
     """Return the simulated day, by which a logbook orders sessions; nothing on hardware, whose times are dates."""
     return {"day": str(prepared.chosen.arguments["day"])} if prepared.chosen.simulated else {}
 
 
-def _metadata(prepared: Prepared) -> dict[str, str]:
+def _metadata(prepared: PreparedTrial) -> dict[str, str]:
     return force_paths.metadata(prepared.paths, prepared.experiment.network) if prepared.paths else {}
 
 
@@ -425,7 +425,7 @@ def compile_laws(*, simulated: bool, progress: Progress = SILENT) -> None:
                         "later runs find them compiled.")
 
 
-class Watched:
+class ProgressRecorder:
     """A recorder that reports the progress of the gait, once in `EVERY` rows."""
 
     EVERY = 200

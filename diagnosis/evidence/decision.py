@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cho_solve
 
-from diagnosis.evidence.hypothesis_search import Searched, search_null, search_pairs
-from estimation.posterior import HUBER, SURROGATE, Observed, PosteriorMode, own_error, screened
+from diagnosis.evidence.hypothesis_search import TrialModes, search_null, search_pairs
+from estimation.posterior import HUBER, SURROGATE, PosteriorMode, SessionData, own_error, screened
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
@@ -62,7 +62,7 @@ class Decision:
     lacking: tuple[str, ...] = ()
 
 
-def decide(found: Searched) -> Decision:
+def decide(found: TrialModes) -> Decision:
     """Return the verdict that the evidence of one trial supports.
 
     If an effect is named, further modes of the null and pairs with the best effect are fitted and added to `found`.
@@ -91,19 +91,19 @@ def decide(found: Searched) -> Decision:
                     misfit, lacking(misfit, misfits(found, found.null)))
 
 
-def chosen_variants(found: Searched, chosen: Sequence[str]) -> list[Variant]:
+def chosen_variants(found: TrialModes, chosen: Sequence[str]) -> list[Variant]:
     """Return the variant of each chosen effect; a second effect has the variant of the fitted pair."""
     return [(found.paired if k else found.variants)[name] for k, name in enumerate(chosen)]
 
 
-def unnamed(found: Searched) -> Decision:
+def unnamed(found: TrialModes) -> Decision:
     """Return the decision without an effect: `none`, or `unexplained` if the null has a lack of fit."""
     misfit = misfits(found, found.null)
     lack = lacking(misfit)
     return Decision("unexplained" if lack else "none", (), (), None, found.gains(), misfit, lack)
 
 
-def threshold(observed: Observed) -> float:
+def threshold(observed: SessionData) -> float:
     """Return the log Bayes factor, nats, from which an effect is named in the trials of one session.
 
     It grows with the motion that the reference trials do not have, as the session deviation of the path does.
@@ -144,7 +144,7 @@ def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:
     return (*chosen, *(n for n, gain in gains.items() if n not in chosen and gain >= SET_SHARE * best))
 
 
-def misfits(found: Searched, at: PosteriorMode, variants: Sequence[Variant] = ()) -> dict[str, float]:
+def misfits(found: TrialModes, at: PosteriorMode, variants: Sequence[Variant] = ()) -> dict[str, float]:
     """Return the mean squared residual over its variance by output, and `session` as defined in `Decision`.
 
     `variants`: effects of the mode, whose equations may be inexact.  Residuals are clipped at `HUBER` σ, so that
@@ -160,7 +160,7 @@ def misfits(found: Searched, at: PosteriorMode, variants: Sequence[Variant] = ()
     return told | {"session": departure(observed, at)}
 
 
-def departure(observed: Observed, at: PosteriorMode) -> float:
+def departure(observed: SessionData, at: PosteriorMode) -> float:
     """Return how far a mode is from a reference trial's: `session` of `Decision.misfit`."""
     return min(at.cost / (observed.count * observed.cost * float(observed.growth.mean())), at.strain())
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from diagnosis.evidence.decision import threshold
 from diagnosis.evidence.hypothesis_search import hypotheses
-from estimation.posterior import Observed, PosteriorMode, response
+from estimation.posterior import PosteriorMode, SessionData, response
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
@@ -55,7 +55,9 @@ class DetectionLimit(NamedTuple):
     response: EffectResponse
 
 
-def detection_limits(observed: Observed, null: PosteriorMode, bench: Mapping[str, float]) -> dict[str, DetectionLimit]:
+def detection_limits(
+    observed: SessionData, null: PosteriorMode, bench: Mapping[str, float],
+) -> dict[str, DetectionLimit]:
     """Return the detection limit of each effect, at the mode `null` and the constants `bench`.
 
     A limit outside the bounds of its parameter has the value None.
@@ -76,7 +78,7 @@ def detection_limits(observed: Observed, null: PosteriorMode, bench: Mapping[str
     return told
 
 
-def _response(observed: Observed, null: PosteriorMode, variant: Variant) -> EffectResponse:
+def _response(observed: SessionData, null: PosteriorMode, variant: Variant) -> EffectResponse:
     effect, applied = response(null, observed, variant)
     return EffectResponse(variant, effect[:, 0], applied[:, 1], float(effect[:, 0] @ applied[:, 1]),
                           threshold(observed))

@@ -13,7 +13,7 @@ from diagnosis.evidence import decision
 from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, Decision
 from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
-from diagnosis.evidence.hypothesis_search import Searched, search
+from diagnosis.evidence.hypothesis_search import TrialModes, search
 from diagnosis.evidence.identical_motion import paired
 from diagnosis.evidence.session_change import feature_sd
 from diagnosis.findings import Findings
@@ -23,7 +23,7 @@ from estimation.likelihood_data import Recording
 from estimation.own_effects_model import with_own_effects
 from estimation.path_model import PATH_MODEL
 from estimation.population_reference import reference_of_population
-from estimation.posterior import SURROGATE, Observed, PosteriorMode, begun, mode, named_change
+from estimation.posterior import SURROGATE, PosteriorMode, SessionData, begun, mode, named_change
 from estimation.reference_fit import ReferenceFit, fit_reference
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
@@ -160,7 +160,7 @@ class EvidenceFinder:
             variants=tuple(decision.chosen_variants(found, decided.chosen)),
             traces=figures.traces(trials), held_traces=kept.traces(holdout) if kept is not None else {})
 
-    def observed(self, trials: Sequence[Table]) -> tuple[ReferenceFit, Observed, Sequence[Table]]:
+    def observed(self, trials: Sequence[Table]) -> tuple[ReferenceFit, SessionData, Sequence[Table]]:
         """Return the reference condition, the data of trials of one session under it, and the trials.
 
         If all reference trials are gaits and some of the trials are, the experiments are left out.
@@ -197,7 +197,7 @@ class EvidenceFinder:
                 else reference_of_population(self.model, read, self._calibration)
         return self._fits[key]
 
-    def _decided(self, found: Searched) -> Decision:
+    def _decided(self, found: TrialModes) -> Decision:
         """Return the verdict; never `unexplained` without reference trials, since the bench's model error is unknown.
         """
         return self._known(decision.decide(found))
@@ -249,7 +249,7 @@ class EvidenceFinder:
         return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "was": before, "gain_percent": gain}
 
 
-def _probability(found: Searched, decided: Decision, name: str) -> float:
+def _probability(found: TrialModes, decided: Decision, name: str) -> float:
     """Return the probability of a chosen effect; of a second one beside the first."""
     least = decision.threshold(found.observed)
     if name == decided.chosen[0]:
@@ -257,7 +257,7 @@ def _probability(found: Searched, decided: Decision, name: str) -> float:
     return decision.probabilities(found.further(decided.chosen[0]), DOUBTED * least)[name]
 
 
-def _at_peak(found: Searched, at: PosteriorMode, variant: Variant) -> dict[str, float]:
+def _at_peak(found: TrialModes, at: PosteriorMode, variant: Variant) -> dict[str, float]:
     """Return the change of END and START by an effect, N, where the first trial's START is highest; {} for a rig."""
     observed, model, without = found.observed, found.observed.model, at.q.copy()
     if model.pools_sessions:
@@ -272,7 +272,7 @@ def _at_peak(found: Searched, at: PosteriorMode, variant: Variant) -> dict[str, 
     return {name: float(error[peak]) for name, error in model.errors(trial, first).items() if name in model.judged}
 
 
-def _refused(found: Searched, decided: Decision, *, alone: bool) -> str:
+def _refused(found: TrialModes, decided: Decision, *, alone: bool) -> str:
     """Return a sentence if the best effect is not named after all; else "".
 
     With a lack of fit of the best model, the evidence must reach `DOUBTED` times the threshold, and no misfit may
@@ -309,7 +309,7 @@ def _unexplained(decided: Decision, relations: Mapping[str, Figures]) -> dict[st
     return {name: row(name) for name in names}
 
 
-def _unseen(found: Searched, decided: Decision, least: float = 0.1) -> list[str]:
+def _unseen(found: TrialModes, decided: Decision, least: float = 0.1) -> list[str]:
     """Return a sentence if nothing is named and the motion exceeds the reference trials' by the share `least` or more.
     """
     beyond = found.observed.beyond
@@ -337,7 +337,7 @@ def _worse(relations: Mapping[str, Figures]) -> list[str]:
             and f.holdout_after > f.holdout_session]
 
 
-def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Sequence[Recording],
+def _split(found: TrialModes, decided: Decision, reference: ReferenceFit, read: Sequence[Recording],
            others: Sequence[Recording]) -> Decision | None:
     """Return the decision with the ambiguity set reduced by the experiments `others`, the best effect first.
 
@@ -365,7 +365,9 @@ def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Se
                    part=found.observed.model.hypotheses[kept[0]].part)
 
 
-def _refitted(found: Searched, starts: Mapping[str, PosteriorMode], observed: Observed) -> dict[str, PosteriorMode]:
+def _refitted(
+    found: TrialModes, starts: Mapping[str, PosteriorMode], observed: SessionData,
+) -> dict[str, PosteriorMode]:
     """Return the mode of each effect, fitted from its start and from the best effect's mode."""
     def fitted(name: str, base: PosteriorMode) -> PosteriorMode:
         return mode(observed, found.prior, [found.variants[name]], begun(base, found.variants[name]))
@@ -376,7 +378,7 @@ def _refitted(found: Searched, starts: Mapping[str, PosteriorMode], observed: Ob
             for name, at in modes.items()}
 
 
-def _mode_of(found: Searched, decided: Decision) -> PosteriorMode:
+def _mode_of(found: TrialModes, decided: Decision) -> PosteriorMode:
     if not decided.chosen:
         return found.null
     if len(decided.chosen) == 1:
@@ -390,7 +392,7 @@ def _half(at: PosteriorMode, read: Read, bench: Mapping[str, float]) -> float:
     return 1.96 * float(np.hypot(_sd(at, lambda v: read(v, bench)), SURROGATE * abs(change)))
 
 
-def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> tuple[str, str] | None:
+def _beyond(found: TrialModes, decided: Decision, bench: Mapping[str, float]) -> tuple[str, str] | None:
     """Return the first chosen effect whose main parameter, its first one, is 1σ outside the bounds, and a sentence."""
     model, at = found.observed.model, _mode_of(found, decided)
     constants = model.constants.named(at.q)
@@ -405,13 +407,13 @@ def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> t
     return None
 
 
-def _held_out(found: Searched, decided: Decision, reference: ReferenceFit, tables: Sequence[Table],
+def _held_out(found: TrialModes, decided: Decision, reference: ReferenceFit, tables: Sequence[Table],
               read: Sequence[Recording]) -> HeldOut:
     return held_out(found.observed, found.prior, reference, decision.chosen_variants(found, decided.chosen),
                     (found.null, _mode_of(found, decided)), blocks_of(tables, read))
 
 
-def _limits(found: Searched, bench: Mapping[str, float]) -> dict[str, Mapping[str, Any]]:
+def _limits(found: TrialModes, bench: Mapping[str, float]) -> dict[str, Mapping[str, Any]]:
     """Return the detection limit of each effect in these trials as published."""
     return {name: {"parameter": limit.parameter, "value": limit.value, "unit": limit.unit}
             for name, limit in detection_limits(found.observed, found.null, bench).items()}
@@ -429,7 +431,7 @@ def _sd(at: PosteriorMode, read: Any) -> float:
     return at.sd(gradient)
 
 
-def _shifts(at: PosteriorMode, reference: ReferenceFit, found: Searched) -> dict[str, dict[str, Any]]:
+def _shifts(at: PosteriorMode, reference: ReferenceFit, found: TrialModes) -> dict[str, dict[str, Any]]:
     """Return the value of each active constant on the bench and in the trial, with the trial's 95 % interval.
 
     `sessions`: change relative to its 1σ between sessions, with the uncertainty of the bench; None for a constant that

@@ -23,12 +23,12 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.stats import norm
 
 from diagnosis.evidence.decision import SET_SHARE
-from diagnosis.evidence.hypothesis_search import Searched
+from diagnosis.evidence.hypothesis_search import TrialModes
 from diagnosis.evidence.identical_motion import REPEAT, pair_of
 from estimation.data.table import table
 from estimation.likelihood_data import GRID_S, PathRecording, Recording
 from estimation.outputs import predict
-from estimation.posterior import SURROGATE, Gaussian, Observed, PosteriorMode, widened
+from estimation.posterior import SURROGATE, Gaussian, PosteriorMode, SessionData, widened
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
 from physics.effects.separating_experiments import EXPERIMENTS
@@ -62,10 +62,10 @@ class PlannedExperiment:
         return max(self.sure, self.with_reference)
 
 
-class _Predicted:
+class _PredictiveDistribution:
     """Predictive distribution of an experiment's data under one effect, whitened: mean, and root of the covariance."""
 
-    def __init__(self, at: PosteriorMode, variants: Sequence[Variant], prior: Gaussian, observed: Observed,
+    def __init__(self, at: PosteriorMode, variants: Sequence[Variant], prior: Gaussian, observed: SessionData,
                  slopes: tuple[Array, Array]) -> None:
         weight = np.sqrt(observed.weight)
         data, jacobian = slopes
@@ -81,7 +81,7 @@ class _Predicted:
         self.solved = cho_factor(self.square)
         self.log_det = 2.0 * float(np.log(np.diag(self.solved[0])).sum())
 
-    def against(self, other: _Predicted) -> float:
+    def against(self, other: _PredictiveDistribution) -> float:
         """Return K(self, other), the expected log Bayes factor of this effect against `other`, nats."""
         cross = other.spread.T @ self.spread
         off = other.mean - self.mean
@@ -93,7 +93,7 @@ class _Predicted:
         return float(max(0.5 * (trace + squared + other.log_det - self.log_det), 0.0))
 
 
-def predicted_experiments(found: Searched, among: Sequence[str], reference: ReferenceFit,
+def predicted_experiments(found: TrialModes, among: Sequence[str], reference: ReferenceFit,
                           tried: Sequence[str] = (), walked: Sequence[Recording] = ()) -> list[PlannedExperiment]:
     """Return the predicted outcome of each experiment that the bench runs without a person, the most decisive first.
 
@@ -110,7 +110,7 @@ def predicted_experiments(found: Searched, among: Sequence[str], reference: Refe
     return sorted(planned, key=lambda one: (-min(one.best, DECIDES), one.seconds))
 
 
-def _planned(name: str, found: Searched, effects: Sequence[str], reference: ReferenceFit) -> PlannedExperiment:
+def _planned(name: str, found: TrialModes, effects: Sequence[str], reference: ReferenceFit) -> PlannedExperiment:
     q = reference.bench_coordinates()
     recording = motion_of(name, q, found.observed.trials[0])
     observed = reference.observe(recording)
@@ -122,7 +122,7 @@ def _planned(name: str, found: Searched, effects: Sequence[str], reference: Refe
     return PlannedExperiment(name, float(recording.time_s[-1]), chance, sure[1][0], nats, pair)
 
 
-def _repeated(found: Searched, effects: Sequence[str], reference: ReferenceFit, walked: Recording, number: int
+def _repeated(found: TrialModes, effects: Sequence[str], reference: ReferenceFit, walked: Recording, number: int
               ) -> PlannedExperiment:
     """Return the predicted outcome of a trial with the motion of reference trial `number`, the recording `walked`."""
     pair = pair_of(reference, walked, reference.observe(walked), number, 0)
@@ -132,16 +132,16 @@ def _repeated(found: Searched, effects: Sequence[str], reference: ReferenceFit, 
     return PlannedExperiment(REPEAT, float(walked.time_s[-1]), chance, chance, nats, least)
 
 
-def _decides(found: Searched, effects: Sequence[str], observed: Observed, slopes: dict[str, tuple[Array, Array]],
+def _decides(found: TrialModes, effects: Sequence[str], observed: SessionData, slopes: dict[str, tuple[Array, Array]],
              prior: Gaussian) -> tuple[float, float, tuple[str, str]]:
     """Return the probability that only the true effect remains, and nats and names of the least distinct pair.
 
     The share of the evidence has a systematic error of twice `SURROGATE`, since evidence grows with the square of the
     size of an effect.  Without it each probability would be close to 0 or 1.
     """
-    told = {effect: _Predicted(found.single[effect], [found.variants[effect]], prior, observed, slopes[effect])
-            for effect in effects}
-    null = _Predicted(found.null, [], prior, observed, slopes[""])
+    told = {effect: _PredictiveDistribution(
+        found.single[effect], [found.variants[effect]], prior, observed, slopes[effect]) for effect in effects}
+    null = _PredictiveDistribution(found.null, [], prior, observed, slopes[""])
     gains = found.gains()
     chances, least = [], (np.inf, (effects[0], effects[1]))
     for true in effects:
@@ -160,7 +160,7 @@ def _decides(found: Searched, effects: Sequence[str], observed: Observed, slopes
     return float(np.mean(chances)), float(least[0]), least[1]
 
 
-def _with_reference(reference: ReferenceFit, observed: Observed, q: Array) -> Gaussian:
+def _with_reference(reference: ReferenceFit, observed: SessionData, q: Array) -> Gaussian:
     """Return the prior of a trial if the experiment were also recorded in the reference condition."""
     free = reference.model.constants.free
     _, jacobian = observed.jacobian(q, free)

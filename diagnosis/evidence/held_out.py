@@ -18,10 +18,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.compared_signals import Compared, Figures
+from diagnosis.compared_signals import Figures, SignalResiduals
 from estimation.data.table import Table
 from estimation.likelihood_data import Recording
-from estimation.posterior import Gaussian, Observed, PosteriorMode, begun, mode
+from estimation.posterior import Gaussian, PosteriorMode, SessionData, begun, mode
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
@@ -44,7 +44,7 @@ class HeldOut:
     `named`: None without a chosen effect.  `blocks`: by trial, the cycle number of each bin.
     """
 
-    observed: Observed
+    observed: SessionData
     reference: Array
     session: Array
     named: Array | None
@@ -118,21 +118,22 @@ class HeldOut:
                             "anywhere up to its static value, so no figure counts these data.")
         return told
 
-    def traces(self, tables: Sequence[Table]) -> dict[str, list[Compared]]:
+    def traces(self, tables: Sequence[Table]) -> dict[str, list[SignalResiduals]]:
         """Return measured signals with their errors under each model by output, one entry per trial."""
-        made: dict[str, list[Compared]] = {name: [] for name in self.observed.outputs}
+        made: dict[str, list[SignalResiduals]] = {name: [] for name in self.observed.outputs}
         models = (self.reference, self.session, self.session if self.named is None else self.named)
         sides = zip(*map(self.observed.each, models), tables, self.blocks, strict=True)
         for (trial, reference), (_, session), (_, last), table, block in sides:
             before, adapted, after = (self.observed.model.errors(trial, rest) for rest in (reference, session, last))
             along = _along(trial, table)
             for name in made:
-                made[name].append(Compared(name, self.observed.model.signals[name], trial.binned(trial.measured(name)),
-                                           before[name], adapted[name], after[name], block, along))
+                made[name].append(SignalResiduals(
+                    name, self.observed.model.signals[name], trial.binned(trial.measured(name)), before[name],
+                    adapted[name], after[name], block, along))
         return made
 
 
-def held_out(observed: Observed, prior: Gaussian, reference: ReferenceFit, chosen: Sequence[Variant],
+def held_out(observed: SessionData, prior: Gaussian, reference: ReferenceFit, chosen: Sequence[Variant],
              modes: tuple[PosteriorMode, PosteriorMode], blocks: Sequence[NDArray[np.intp]]) -> HeldOut:
     """Return the errors of a trial, each half of its cycles predicted by fits to the other half.
 
@@ -153,7 +154,7 @@ def held_out(observed: Observed, prior: Gaussian, reference: ReferenceFit, chose
                    predicted(chosen, base) if chosen else None, blocks)
 
 
-def rest(observed: Observed, at: PosteriorMode) -> Array:
+def rest(observed: SessionData, at: PosteriorMode) -> Array:
     """Return the residual of data at a mode, which may be a fit to other data."""
     return np.asarray(observed.data - observed.predicted(at.q) - observed.features @ at.x[at.constants:])
 

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.evidence.session_change import averaged
-from estimation.posterior import CLOSE, Gaussian, Observed, PosteriorMode, begun, mode, screened
+from estimation.posterior import CLOSE, Gaussian, PosteriorMode, SessionData, begun, mode, screened
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
@@ -23,7 +23,7 @@ If it is too small, a screen may miss the true effect; the time of a search grow
 
 
 @dataclass
-class Searched:
+class TrialModes:
     """Modes of one trial: `null`, `single` by effect, and `pair` by best and second effect.
 
     `amplitude`: 1σ of each feature's weight between benches, 0 for a pair of identical motion, under which the
@@ -32,7 +32,7 @@ class Searched:
     value is outside their bounds.
     """
 
-    observed: Observed
+    observed: SessionData
     prior: Gaussian
     amplitude: Array | None
     null: PosteriorMode
@@ -55,22 +55,22 @@ class Searched:
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-def hypotheses(observed: Observed, constants: Mapping[str, float]) -> dict[str, tuple[Variant, ...]]:
+def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[str, tuple[Variant, ...]]:
     """Return the variants, at `constants` of the bench, of each effect whose needed outputs were observed."""
     offered = {name: h.variants(constants) for name, h in observed.model.hypotheses.items()
                if set(h.needs) <= set(observed.outputs)}
     return {name: variants for name, variants in offered.items() if variants}
 
 
-def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = (), amplitude: Array | None = None
-           ) -> Searched:
+def search(observed: SessionData, prior: Gaussian, starts: Sequence[Array] = (), amplitude: Array | None = None
+           ) -> TrialModes:
     """Fit the null and the effects that the screen ranks first, and restart the fits from each other's modes.
 
     The null starts at the prior's mean and at `starts`, departures of constants and feature weights from the origin.
     `amplitude`: 1σ of each feature's weight between benches; without it, no evidence is averaged over amplitudes.
     """
     null = max((mode(observed, prior, start=at) for at in (None, *starts)), key=lambda m: m.log_evidence)
-    found = Searched(observed, prior, amplitude, null)
+    found = TrialModes(observed, prior, amplitude, null)
     found.null = _averaged(found, null)
     offered = hypotheses(observed, observed.model.constants.named(prior.origin))
     # at the reference constants no constant has taken up an effect
@@ -82,7 +82,7 @@ def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = (), am
     return found
 
 
-def search_null(found: Searched, starts: int = 4, share: float = 0.3) -> None:
+def search_null(found: TrialModes, starts: int = 4, share: float = 0.3) -> None:
     """Fit the null from `starts` random departures from its mode, and the best effects from a better mode of it.
 
     The departures are drawn from the prior, with `share` of its σ.
@@ -98,7 +98,7 @@ def search_null(found: Searched, starts: int = 4, share: float = 0.3) -> None:
         _cross(found)
 
 
-def search_pairs(found: Searched, best: str) -> None:
+def search_pairs(found: TrialModes, best: str) -> None:
     """Fit pairs of `best` with the effects that a linear screen at its mode ranks first."""
     offered = hypotheses(found.observed, found.observed.model.constants.named(found.prior.origin))
     at, first = found.single[best], found.variants[best]
@@ -125,7 +125,7 @@ def _same_shape(first: Variant, second: Variant) -> bool:
     return any(second.at.get(name, value) != value for name, value in first.at.items())
 
 
-def _screen(found: Searched, offered: Mapping[str, tuple[Variant, ...]], base: PosteriorMode, most: int) -> None:
+def _screen(found: TrialModes, offered: Mapping[str, tuple[Variant, ...]], base: PosteriorMode, most: int) -> None:
     """Fit the `most` effects that a linear screen at `base` ranks first: the null's mode or the reference constants."""
     rated = []
     for name, variants in offered.items():
@@ -139,7 +139,7 @@ def _screen(found: Searched, offered: Mapping[str, tuple[Variant, ...]], base: P
             _keep(found, name, variant, _fit(found, [variant], begun(found.null, variant)))
 
 
-def _fit(found: Searched, variants: list[Variant], start: Array) -> PosteriorMode | None:
+def _fit(found: TrialModes, variants: list[Variant], start: Array) -> PosteriorMode | None:
     """Return the mode with the effects `variants`, with its averaged evidence; None if it is singular."""
     try:
         fitted = _averaged(found, mode(found.observed, found.prior, variants, start))
@@ -148,14 +148,14 @@ def _fit(found: Searched, variants: list[Variant], start: Array) -> PosteriorMod
     return fitted if np.isfinite(fitted.log_evidence) else None
 
 
-def _averaged(found: Searched, at: PosteriorMode) -> PosteriorMode:
+def _averaged(found: TrialModes, at: PosteriorMode) -> PosteriorMode:
     """Return a mode with its evidence averaged over a further change of the discrepancy between sessions."""
     if found.amplitude is None:
         return at
     return replace(at, log_evidence=averaged(at, found.amplitude, found.observed.model.session_shares))
 
 
-def _keep(found: Searched, name: str, variant: Variant, fitted: PosteriorMode | None) -> bool:
+def _keep(found: TrialModes, name: str, variant: Variant, fitted: PosteriorMode | None) -> bool:
     """Store a mode if its evidence is the largest of the effect so far; return whether it was stored."""
     old = found.single.get(name)
     if fitted is None or (old is not None and old.log_evidence >= fitted.log_evidence):
@@ -164,7 +164,7 @@ def _keep(found: Searched, name: str, variant: Variant, fitted: PosteriorMode | 
     return True
 
 
-def _restarted(found: Searched, least: float = 2.0) -> bool:
+def _restarted(found: TrialModes, least: float = 2.0) -> bool:
     """Refit the null from the modes of better effects; return whether its log evidence rose by `least` nats or more."""
     before = found.null.log_evidence
     for name in [name for name, gain in found.gains().items() if gain >= least][:FOREMOST // 2]:
@@ -174,7 +174,7 @@ def _restarted(found: Searched, least: float = 2.0) -> bool:
     return found.null.log_evidence >= before + least
 
 
-def _cross(found: Searched) -> None:
+def _cross(found: TrialModes) -> None:
     """Refit the best effects from the best mode of all, if that is not the null's, and the null once more."""
     if not found.single:
         return

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from estimation.likelihood_data import GRID_S, Recording
-from estimation.posterior import Gaussian, Observed
+from estimation.posterior import Gaussian, SessionData
 from estimation.reference_fit import ReferenceFit
 from physics.laws import Array
 
@@ -29,12 +29,12 @@ REPEAT: Final = "repeat"
 class Pair:
     """A trial less the residual of reference trial number `reference`: its data, and its prior about that trial."""
 
-    observed: Observed
+    observed: SessionData
     prior: Gaussian
     reference: int
 
 
-def paired(fit: ReferenceFit, references: Sequence[Recording], observed: Observed) -> Pair | None:
+def paired(fit: ReferenceFit, references: Sequence[Recording], observed: SessionData) -> Pair | None:
     """Return the pair of a trial and the reference trial of its motion; None without such a reference trial.
 
     `references`: recordings in the order of `fit.identified`.  Sessions of several trials have no pair.
@@ -50,7 +50,7 @@ def paired(fit: ReferenceFit, references: Sequence[Recording], observed: Observe
     return pair_of(fit, references[number], observed, number, lag)
 
 
-def pair_of(fit: ReferenceFit, other: Recording, observed: Observed, number: int, lag: int) -> Pair:
+def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int) -> Pair:
     """Return the pair of a trial and reference trial `number`, the recording `other`, `lag` samples behind it."""
     return Pair(_difference(fit, other, observed, number, lag), _prior(fit, number), number)
 
@@ -83,8 +83,8 @@ def _motion(trial: Recording) -> Array:
     return np.stack([trial.sampled(name) for name in ("servo_position_m", "knee_angle_rad")])
 
 
-def _difference(fit: ReferenceFit, other: Recording, observed: Observed, number: int, lag: int,
-                inflation: float = 1.5) -> Observed:
+def _difference(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int,
+                inflation: float = 1.5) -> SessionData:
     """Return the trial less the residual of the reference trial `other`, which is `lag` samples behind.
 
     `inflation`: factor on the variance.  Without it a healthy pair of `tests/diagnosis/test_diagnosis_gates.py` has a

@@ -15,7 +15,7 @@ from diagnosis.evidence.evidence_finder import EvidenceFinder
 from estimation.data import integrity
 from estimation.data.table import Table
 from estimation.likelihood_data import MOTION
-from estimation.posterior import Observed, mode
+from estimation.posterior import SessionData, mode
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
 
@@ -80,7 +80,9 @@ def plan(simulated: Table, healthy: Sequence[Table] = (), calibration: Mapping[s
                 tuple(name for name in CATALOGUE if name not in limits))
 
 
-def _limit(name: str, limit: DetectionLimit, observed: Observed, limits: Mapping[str, DetectionLimit]) -> EffectLimit:
+def _limit(
+    name: str, limit: DetectionLimit, observed: SessionData, limits: Mapping[str, DetectionLimit],
+) -> EffectLimit:
     own = limit.response
     shares = [float(observed.part(own.effect, k) @ observed.part(own.applied, k)) for k in range(len(observed.outputs))]
     like = tuple(other for other, one in limits.items() if other != name and one.value is not None

@@ -13,7 +13,7 @@ from diagnosis.evidence.held_out import HeldOut, blocks_of
 from diagnosis.laws.law_result import Laws, Picture
 from diagnosis.laws.law_search import EXPLAINED, MOST_TERMS, WORSE, Candidate, LawSearch
 from estimation.data.table import Table
-from estimation.posterior import Observed, PosteriorMode
+from estimation.posterior import PosteriorMode, SessionData
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
@@ -25,7 +25,7 @@ TRIED: Final = 3
 """Candidates for one term that are fitted and tested on held-out cycles; each costs about a second."""
 
 
-def discover(reference: ReferenceFit, observed: Observed, tables: Sequence[Table], variants: Sequence[Variant] = ()
+def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Table], variants: Sequence[Variant] = ()
              ) -> Laws:
     """Return the terms that extend the model of `reference` in trials of one session.
 
@@ -66,7 +66,7 @@ def discover(reference: ReferenceFit, observed: Observed, tables: Sequence[Table
                 [_picture(search, chosen, at, k) for k in range(len(chosen))])
 
 
-def _judged(observed: Observed, errors: dict[str, Figures]) -> list[Figures]:
+def _judged(observed: SessionData, errors: dict[str, Figures]) -> list[Figures]:
     return [errors[name] for name in observed.model.judged if name in errors]
 
 

@@ -24,7 +24,7 @@ from scipy.optimize import minimize
 from diagnosis.evidence.decision import NAMED_NATS
 from diagnosis.laws.library import VIBRATING, Candidates, candidates, carriers_of
 from estimation.modulated_recording import ModulatedRecording, modulated
-from estimation.posterior import Gaussian, Observed, PosteriorMode, begun, mode, screened
+from estimation.posterior import Gaussian, PosteriorMode, SessionData, begun, mode, screened
 from estimation.reference_fit import ReferenceFit
 from physics.effects.carriers import in_units
 from physics.effects.hypotheses import Variant
@@ -67,7 +67,7 @@ class LawSearch:
     `blocks`: cycle number of each bin, by trial.  `variants`: effects of the catalogue that stand beside the terms.
     """
 
-    observed: Observed
+    observed: SessionData
     prior: Gaussian
     reference: ReferenceFit
     blocks: Sequence[NDArray[np.intp]]
@@ -125,7 +125,7 @@ class LawSearch:
 
     # -- fits --------------------------------------------------------------------------------------------------------
 
-    def fitted(self, chosen: Sequence[Candidate], observed: Observed | None = None, at: PosteriorMode | None = None,
+    def fitted(self, chosen: Sequence[Candidate], observed: SessionData | None = None, at: PosteriorMode | None = None,
                passes: int = 2) -> PosteriorMode:
         """Return the joint mode of constants, discrepancy and the coefficients of terms, which are its last entries.
 
@@ -234,7 +234,7 @@ class LawSearch:
         """
         return self.by_fold(lambda seen: self.fitted(self._refined_for(chosen, at, seen), seen, at, passes=1))
 
-    def by_fold(self, fit: Callable[[Observed], PosteriorMode]) -> Array:
+    def by_fold(self, fit: Callable[[SessionData], PosteriorMode]) -> Array:
         """Return the residual of the data, shape (data,), where each fold is predicted by a `fit` to the others."""
         fold = np.concatenate([np.tile(b % FOLDS, len(self.observed.outputs)) for b in self.blocks])
         residual = np.zeros(self.observed.data.size)
@@ -245,7 +245,7 @@ class LawSearch:
             residual[out] = whole[out]
         return residual
 
-    def _refined_for(self, chosen: Sequence[Candidate], at: PosteriorMode, seen: Observed) -> list[Candidate]:
+    def _refined_for(self, chosen: Sequence[Candidate], at: PosteriorMode, seen: SessionData) -> list[Candidate]:
         """Return the terms with parameters refined on the data of `seen`, one after the other."""
         slopes, done = self.sensitivities(at), list(chosen)
         for k, candidate in enumerate(done):

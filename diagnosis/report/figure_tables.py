@@ -13,7 +13,7 @@ from diagnosis.findings import Findings
 from diagnosis.report.headline import healthy_value
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
-from trial.report.page import Cell, Named, Page
+from trial.report.page import Cell, NamedText, Page
 from trial.report.words import words
 
 
@@ -24,7 +24,7 @@ def errors(page: Page, found: Findings) -> None:
     page.heading("Error of the simulation, RMS on cycles that no fit has seen")
     columns = ("signal", "unit", "reference trials", "this trial, reference condition", "session adapted",
                "with what is named")
-    rows = [(Named(words(name), name), f.unit, f.floor, f.rmse_before, f.rmse_session, f.rmse_after)
+    rows = [(NamedText(words(name), name), f.unit, f.floor, f.rmse_before, f.rmse_session, f.rmse_after)
             for name, f in found.relations.items()]
     count = len(columns) if found.causes else len(columns) - 1
     page.table(columns[:count], [row[:count] for row in rows])
@@ -35,12 +35,12 @@ def relations(page: Page, found: Findings) -> None:
     page.heading("Root mean square on cycles that no fit has seen")
     if found.candidates:
         page.table(("signal", "unit", "healthy floor", "simulated on the nominal calibration"),
-                   [(Named(words(key), key), f.unit, f.floor, f.rmse_before) for key, f in found.relations.items()])
+                   [(NamedText(words(key), key), f.unit, f.floor, f.rmse_before) for key, f in found.relations.items()])
         return
     page.table(("signal", "unit", "healthy floor", "reference", "session", "named", "gain (%)", "95 % low", "high",
                 "held-out reference", "session", "named"), [
-        (Named(words(key), key), f.unit, f.floor, f.rmse_before, f.rmse_session, f.rmse_after, f.gain_percent, f.low,
-         f.high, f.holdout_before, f.holdout_session, f.holdout_after) for key, f in found.relations.items()])
+        (NamedText(words(key), key), f.unit, f.floor, f.rmse_before, f.rmse_session, f.rmse_after, f.gain_percent,
+         f.low, f.high, f.holdout_before, f.holdout_session, f.holdout_after) for key, f in found.relations.items()])
     page.text("Reference: the reference condition as identified. Session: with its constants adapted. Named: with the "
               "named effects, too; the gain is that of named over session. Floor: what reference trials miss "
               "of each other. Held out: trials given with --holdout, to which nothing was fitted.", "note")

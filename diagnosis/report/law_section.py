@@ -8,7 +8,7 @@ from typing import Final
 from diagnosis.laws.law_result import Laws
 from diagnosis.report.headline import law_sentences
 from diagnosis.report.plots import AFTER, BEFORE
-from trial.report.page import Named, Page, Series
+from trial.report.page import NamedText, Page, Series
 from trial.report.words import display_unit, words
 
 AXES: Final[Mapping[str, tuple[str, str]]] = {
@@ -24,7 +24,7 @@ def section(page: Page, laws: Laws) -> None:
         page.text(sentence)
     if laws.terms:
         page.table(("signal", "unit", "reference", "session adapted", "with the law", "gain (%)", "95 % low", "high"), [
-            (Named(words(name), name), f.unit, f.rmse_before, f.rmse_session, f.rmse_after, f.gain_percent, f.low,
+            (NamedText(words(name), name), f.unit, f.rmse_before, f.rmse_session, f.rmse_after, f.gain_percent, f.low,
              f.high) for name, f in laws.errors.items()])
     for picture in laws.pictures:
         axis, si = AXES[picture.variable]

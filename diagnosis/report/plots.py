@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from diagnosis.compared_signals import Compared
+from diagnosis.compared_signals import SignalResiduals
 from diagnosis.report.residuals import binned, bins_of, by_direction, joined, rms
 from trial.report.packing import broken
 from trial.report.page import Page, Series
@@ -26,7 +26,9 @@ MEANING: Final = {
 """By output: the inputs of its prediction, in words."""
 
 
-def measured(page: Page, sides: Mapping[str, Sequence[Compared]], title: str, linked: str, *, named: bool) -> None:
+def measured(
+    page: Page, sides: Mapping[str, Sequence[SignalResiduals]], title: str, linked: str, *, named: bool,
+) -> None:
     """Add plots of each output for the first trial: the whole trial, and its cycle with the largest error.
 
     `named`: an effect is named, so that the simulation with it is drawn, too.
@@ -46,14 +48,14 @@ def measured(page: Page, sides: Mapping[str, Sequence[Compared]], title: str, li
                f"{linked}, one cycle of {name}", named)
 
 
-def _worst(one: Compared) -> np.ndarray[Any, Any]:
+def _worst(one: SignalResiduals) -> np.ndarray[Any, Any]:
     """Return a mask of the samples of the cycle with the largest mean squared residual before the diagnosis."""
     cycle = one.cycle
     squares, counts = np.bincount(cycle, one.before**2), np.bincount(cycle)
     return np.asarray(cycle == int(np.argmax(squares / np.maximum(counts, 1))))
 
 
-def _drawn(page: Page, title: str, one: Compared, shown: np.ndarray[Any, Any], linked: str, named: bool) -> None:
+def _drawn(page: Page, title: str, one: SignalResiduals, shown: np.ndarray[Any, Any], linked: str, named: bool) -> None:
     columns, time = [one.measured, one.measured - one.before, one.measured - one.after], one.along("time_s")
     gap = 1.5 * float(np.median(np.diff(time)))  # one sample or more is missing
     time, lines = broken(time[shown], [column[shown] for column in columns], gap)
@@ -63,7 +65,9 @@ def _drawn(page: Page, title: str, one: Compared, shown: np.ndarray[Any, Any], l
     page.plot(title, time, drawn if named else drawn[:2], "time (s)", one.unit, linked=linked, height=220)
 
 
-def residuals(page: Page, sides: Mapping[str, Sequence[Compared]], turning: bool = False, *, named: bool) -> None:
+def residuals(
+    page: Page, sides: Mapping[str, Sequence[SignalResiduals]], turning: bool = False, *, named: bool,
+) -> None:
     """Add plots of the residual of each output along each recorded signal of `SIDES`.
 
     `turning`: the position is an angle.  `named`: an effect is named, so that the residual with it is drawn, too.
@@ -100,7 +104,7 @@ def _banded(along: np.ndarray[Any, Any], before: np.ndarray[Any, Any], after: np
     return series
 
 
-def _by_direction(page: Page, parts: Sequence[Compared]) -> None:
+def _by_direction(page: Page, parts: Sequence[SignalResiduals]) -> None:
     masks = by_direction(parts)
     before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in ("before", "after"))
     unit = parts[0].unit
@@ -111,7 +115,7 @@ def _by_direction(page: Page, parts: Sequence[Compared]) -> None:
              rms(after[mask])) for word, mask in masks.items() if mask.any()])
 
 
-def _loops(page: Page, name: str, parts: Sequence[Compared], named: bool) -> None:
+def _loops(page: Page, name: str, parts: Sequence[SignalResiduals], named: bool) -> None:
     """Add a plot of the mean residual over load, with separate lines for the rope pulled and paid out.
 
     In this plot friction opens a loop, and a wrong gain gives a slope.

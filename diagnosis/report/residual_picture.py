@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.compared_signals import Compared
+from diagnosis.compared_signals import SignalResiduals
 from diagnosis.findings import Findings
 from diagnosis.report.headline import strongest
 from diagnosis.report.plots import ADAPTED, AFTER, BEFORE, MEASURED
@@ -95,13 +95,13 @@ def loop_section(page: Page, found: Findings, turning: bool = False) -> None:
         f"{across} ({shown})", f"{up} ({parts[0].unit})", f"{up} over {across}"))
 
 
-def _walks(parts: Sequence[Compared]) -> bool:
+def _walks(parts: Sequence[SignalResiduals]) -> bool:
     """Return whether every trial has a gait phase that varies."""
     phase = np.concatenate([p.along("gait_percent") for p in parts])
     return bool(np.isfinite(phase).all()) and float(np.ptp(phase)) > 0.0
 
 
-def _cycle(parts: Sequence[Compared], over: str, most: int = 1500) -> list[Array]:
+def _cycle(parts: Sequence[SignalResiduals], over: str, most: int = 1500) -> list[Array]:
     """Return a signal, and the measured output and the three simulated ones along it, in the order of time.
 
     They are means over the gait phase, closed; without a gait, the first `most` samples of the first trial.
@@ -119,7 +119,7 @@ def _cycle(parts: Sequence[Compared], over: str, most: int = 1500) -> list[Array
     return [np.append(mean, mean[0]) for mean in means]
 
 
-def _lines(one: Compared) -> tuple[Array, Array, Array, Array]:
+def _lines(one: SignalResiduals) -> tuple[Array, Array, Array, Array]:
     """Return the measured output, and the simulated ones of the reference, the adapted session and what is named."""
     return one.measured, one.measured - one.before, one.measured - one.session, one.measured - one.after
 
@@ -145,7 +145,7 @@ def residual(found: Findings, turning: bool = False) -> MeanResidual | None:
     return None
 
 
-def loops(sides: Mapping[str, Sequence[Compared]]) -> list[ForceLoop]:
+def loops(sides: Mapping[str, Sequence[SignalResiduals]]) -> list[ForceLoop]:
     """Return the rising and the falling branch of START over END of the mean gait cycle.
 
     The rising branch begins at the last minimum of END before its peak, the falling one ends at the first minimum after

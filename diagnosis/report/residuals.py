@@ -10,14 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.compared_signals import Compared
+from diagnosis.compared_signals import SignalResiduals
 from diagnosis.findings import Findings
 from estimation.simulation import directions
 from physics.laws import Array
 from trial.report.page import number
 
 
-def joined(parts: Sequence[Compared], name: str) -> tuple[Array, Array, Array]:
+def joined(parts: Sequence[SignalResiduals], name: str) -> tuple[Array, Array, Array]:
     """Return a signal and the residuals before and after, of all trials concatenated, at samples where it is finite."""
     along = np.concatenate([p.along(name) for p in parts])
     before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in ("before", "after"))
@@ -44,7 +44,7 @@ def binned(along: Array, residual: Array, bins: int, span: tuple[float, float] |
     return 0.5 * (edges[:-1] + edges[1:]), mean, np.sqrt(square)
 
 
-def by_direction(parts: Sequence[Compared]) -> dict[str, NDArray[np.bool_]]:
+def by_direction(parts: Sequence[SignalResiduals]) -> dict[str, NDArray[np.bool_]]:
     """Return masks of the samples with the rope pulled, paid out or still; {} if a trial has no rope speed."""
     if not all("rope_m_s" in p.signals for p in parts):
         return {}

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
 from estimation.transfer.homing_fit import adapt, lag_compensated, smoothed
-from estimation.transfer.jackknife import LineFit, Measured, half_width
+from estimation.transfer.jackknife import LineFit, MeasuredScalar, half_width
 from parameters import InputError
 from physics import correlation, inverse, stretch
 from physics.calibration import Calibration, ScalarEvidence
@@ -125,12 +125,12 @@ def rest(segments: Sequence[Segment]) -> Rest:
     return Rest(_mean([s.start for s in still]), _mean([s.end for s in still]), _noise([s.start for s in still]))
 
 
-def start_at_rest(segments: Sequence[Segment]) -> dict[str, Measured]:
+def start_at_rest(segments: Sequence[Segment]) -> dict[str, MeasuredScalar]:
     """Return START's offset and noise, N, by the calibration's names, with their intervals."""
     still, parts = rest(segments), [
         part for s in _of(segments, "rest") for part in np.array_split(s.start, LAPS)]
-    return {"start_offset": Measured(still.start_offset, float(half_width(parts, _mean))),
-            "start_noise": Measured(still.start_noise, float(half_width(parts, _noise)))}
+    return {"start_offset": MeasuredScalar(still.start_offset, float(half_width(parts, _mean))),
+            "start_noise": MeasuredScalar(still.start_noise, float(half_width(parts, _noise)))}
 
 
 def _mean(parts: Sequence[Array]) -> float:
@@ -153,12 +153,12 @@ def swing(segments: Sequence[Segment]) -> LineFit:
     return _line([lap for swings in laps for lap in swings], 1)
 
 
-def bandwidth(segments: Sequence[Segment]) -> Measured:
+def bandwidth(segments: Sequence[Segment]) -> MeasuredScalar:
     """Return the bandwidth, Hz, of the first-order lag from the delayed target to rope position."""
     moving = [segment for segment in segments if segment.kind in ("stiffness", "ramp")]
     if not moving:
         raise InputError("identification: no loop among the recorded experiments; run identify stiffness or friction.")
-    return Measured(_bandwidth(moving), float(half_width(moving, _bandwidth)))
+    return MeasuredScalar(_bandwidth(moving), float(half_width(moving, _bandwidth)))
 
 
 def _bandwidth(moving: Sequence[Segment]) -> float:

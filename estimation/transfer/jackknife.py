@@ -31,7 +31,7 @@ class LineFit(NamedTuple):
                      for value, half in zip(self.coefficients, self.half, strict=True))
 
 
-class Measured(NamedTuple):
+class MeasuredScalar(NamedTuple):
     """A scalar and half of its 95 % interval."""
 
     value: float

@@ -19,7 +19,7 @@ from master.control import learning
 from master.control.controller_io import ControllerInput, ControllerOutput, Trace
 from master.control.friction_following import (
     LEAST_SHARE,
-    Followed,
+    FrictionChange,
     evidence_of,
     follow,
     friction_evidence,
@@ -92,7 +92,7 @@ class ExtendedState(NamedTuple):
     """
 
     law: Law
-    followed: Followed = Followed()
+    followed: FrictionChange = FrictionChange()
     deviation_m: float = 0.0
     leg: tuple[float, float] = (0.0, NAN)
     seen_m: float = NAN

@@ -42,7 +42,7 @@ SETTLING = 3
 """Gait cycles of observations until an error of the assumed backlash has fallen to an eighth."""
 
 
-class Followed(NamedTuple):
+class FrictionChange(NamedTuple):
     """Estimated change of the bench since homing.
 
     Factors of the friction of sheath and knee, added breakaway; half of the backlash at the knee, m of rope.
@@ -72,7 +72,7 @@ class CycleEvidence(NamedTuple):
     weight: float
 
 
-def law_at(law: Law, followed: Followed) -> Law:
+def law_at(law: Law, followed: FrictionChange) -> Law:
     """Return the controller's model with the friction as it is followed."""
     sheath, knee, breakaway = followed[:3]
     return law._replace(
@@ -82,7 +82,7 @@ def law_at(law: Law, followed: Followed) -> Law:
 
 
 def friction_evidence(
-    law: Law, followed: Followed, position: float, knee: float, start: float, drag: float,
+    law: Law, followed: FrictionChange, position: float, knee: float, start: float, drag: float,
     exponents: tuple[float, float, float, float], side: float, least_n: float,
 ) -> CycleEvidence | None:
     """Return the observation of one control cycle, None if START or the stretch is too small.
@@ -125,7 +125,7 @@ def estimate(evidence: list[CycleEvidence], doubts: tuple[float, ...] = PRIOR) -
     return tuple(found.tolist())
 
 
-def follow(followed: Followed, evidence: list[CycleEvidence]) -> Followed:
+def follow(followed: FrictionChange, evidence: list[CycleEvidence]) -> FrictionChange:
     """Return the state after one more gait cycle: half of the way to that cycle's estimate.
 
     The first `SETTLING` gait cycles estimate the backlash, which nothing else measures; all of them estimate the

@@ -16,7 +16,7 @@ import can
 from eds.bench.bench_network import WireLayout, tpdo_cob_id
 from eds.bench.complete_cycle import CompleteCycle, CompleteCycles
 from eds.cia301 import SYNC_COB_ID
-from eds.pdo_plan import Joined
+from eds.pdo_plan import JoinedUnpacker
 from eds.scale_factors import drum_radius_m
 from master.cycle.guard import Guard
 from master.cycle.inputs import END, KNEE, NOTHING, CycleAnnotations, Inputs, KeptCycle, observer_slots, places
@@ -172,7 +172,7 @@ class Exchange(SyncCycle):
         self._unpack = [plan.unpack_si for plan in plans]
         if not self.knee_driven:
             self._unpack[KNEE] = _without_status(plans[KNEE].unpack_si)
-        self._unpack_all = Joined(plans).unpack_si
+        self._unpack_all = JoinedUnpacker(plans).unpack_si
         self._no_value = [-math.inf, -math.inf, *(NO_VALUE * plan.fields[0].scale for plan in plans[FIRST_SENSOR:])]
         self._newtons = 1.0 / drum_radius_m(wire.nodes[self.path.servo].dictionary)
         self._pack_targets = wire.targets.pack_si

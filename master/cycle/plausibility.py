@@ -344,7 +344,7 @@ class Implausibility(NamedTuple):
 
 
 @dataclass
-class Learned:
+class HomingBaseline:
     """Results of homing for this bench's plausibility checks.
 
     `stretch_ratio`: its stretch from a quarter of `top_n`, N, to there by the calibration's; NaN without END.
@@ -431,7 +431,7 @@ class Plausibility:
         return Implausibility(relation, seen, expected, tuple(float(value) for value in s[RATIOS:RATIOS + RELATIONS]),
                               swing, fits, frozen)
 
-    def learn(self, quadratic: float, linear: float) -> Learned:
+    def learn(self, quadratic: float, linear: float) -> HomingBaseline:
         """Use the results of homing from here on; `quadratic`, `linear`: coefficients of the calibration's (10), with
         the rope's own stretch."""
         s, g = self.s, self.g
@@ -450,7 +450,7 @@ class Plausibility:
         way, square = 0.75 * top, 0.9375 * top**2  # from a quarter of the top to the top
         found = (curve[1] + g[ROPE_COMPLIANCE]) * way + curve[2] * square
         ratio = found / (linear * way + quadratic * square) if g[WITH_END] else math.nan
-        return Learned(math.sqrt(squares), float(s[RISE_LOW]), float(s[RISE_HIGH]), float(ratio), top)
+        return HomingBaseline(math.sqrt(squares), float(s[RISE_LOW]), float(s[RISE_HIGH]), float(ratio), top)
 
     def begin_learning(self, rope_per_knee: float, knee_home: float, compliance: float) -> None:
         """Restart the identification from a calibration's geometry, before the pull of homing."""

@@ -23,7 +23,7 @@ from master.cycle.log import CycleSink
 from master.cycle.run_safely import run_safely
 from master.cycle.shared_exchange import Running
 from master.motion import gait
-from master.motion.experiment_run import ExperimentSetup, Planned
+from master.motion.experiment_run import ExperimentSetup, PreparedExperiment
 from master.motion.paths_run import rest
 from master.network.link import Link
 from master.own_limits import counted
@@ -41,7 +41,7 @@ WITHIN: Final = 0.9
 Record = Callable[[Any, str, Callable[[], object]], Segment]
 
 
-class _Recorded(Planned):
+class _RecordedGait(PreparedExperiment):
     """A gait trial of a force path whose gait is recorded as a segment, with what homing found of friction and stretch.
     """
 
@@ -63,7 +63,7 @@ class _Recorded(Planned):
 
     def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
         """Run the gait and keep its columns."""
-        walked = self._record(exchange, "gait", lambda: super(_Recorded, self).walk(exchange, before))
+        walked = self._record(exchange, "gait", lambda: super(_RecordedGait, self).walk(exchange, before))
         self.segments.append(walked._replace(homed=self._found))
 
 
@@ -85,7 +85,7 @@ def run(
                                    top_share * own.start_n)
             if path.acts == EXTENDS:
                 reference = reference.mirrored(MIRROR_RAD, 1.0)
-            planned[path.name] = _Recorded(ExperimentSetup(
+            planned[path.name] = _RecordedGait(ExperimentSetup(
                 reference, network=replace(network, bench=bench.path(path.name)), limits=own, homing=homing,
                 calibration=calibration, gait=Gait(peak_n=reference.peak_n, period_s=reference.period_s, cycles=CYCLES,
                                                    controller="extended")), record)
@@ -93,7 +93,7 @@ def run(
         yield outcome.reason, {name: one.segments for name, one in planned.items()}
 
 
-def _perform(planned: Sequence[_Recorded], exchange: Running) -> None:
+def _perform(planned: Sequence[_RecordedGait], exchange: Running) -> None:
     """Enable every drive, slacken every rope, and walk each force path in turn."""
     paths = list(zip(planned, exchange.paths, strict=True))
     drives.enable(exchange)

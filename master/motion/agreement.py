@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Final
 
 from master.cycle.exchange import Exchange
-from master.cycle.plausibility import Learned
+from master.cycle.plausibility import HomingBaseline
 from master.network.bringup import BringUpError
 from physics.calibration import NOMINAL, Calibration, nominal
 
@@ -60,7 +60,7 @@ def refuse_disagreement(exchange: Exchange, calibration: Calibration, *, guessed
         raise BringUpError(sentence)
 
 
-def disagreement(learned: Learned, calibration: Calibration, *, guessed: bool = False) -> str | None:
+def disagreement(learned: HomingBaseline, calibration: Calibration, *, guessed: bool = False) -> str | None:
     """Return a sentence if homing's stretch differs from the calibration's, with both numbers; None if it agrees."""
     known = STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
     ratio, most = learned.stretch_ratio, STRETCH_GUESSED if guessed else known
@@ -73,7 +73,7 @@ def disagreement(learned: Learned, calibration: Calibration, *, guessed: bool = 
     return None
 
 
-def among_sensors(learned: Learned) -> str | None:
+def among_sensors(learned: HomingBaseline) -> str | None:
     """Return a sentence if the sensors contradict each other beyond friction, with both numbers; None otherwise."""
     centre = 0.5 * (learned.low + learned.high)
     if learned.low and learned.high and abs(centre) > CENTRE:

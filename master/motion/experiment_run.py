@@ -31,7 +31,7 @@ from master.cycle.repetition import Repetition
 from master.cycle.run_safely import Outcome, run_safely
 from master.cycle.shared_exchange import Work
 from master.motion import gait, moves
-from master.motion.home import Homed, home, reached_n, within
+from master.motion.home import HomingResult, home, reached_n, within
 from master.network.link import Link
 from parameters import InputError
 from physics import inverse
@@ -98,10 +98,10 @@ def run(link: Link, tap: can.BusABC | None, recorder: CycleSink | None, experime
     Raises `InputError` before anything is sent where the experiment cannot be run at all; whatever happens on the
     bus ends in a `Result`.
     """
-    return Planned(experiment).run(link, tap, recorder)
+    return PreparedExperiment(experiment).run(link, tap, recorder)
 
 
-def result_of(outcome: Outcome, trial: Planned) -> Result:
+def result_of(outcome: Outcome, trial: PreparedExperiment) -> Result:
     """Return the outcome of a planned experiment."""
     return Result(
         outcome="completed" if outcome.reason is None else "stopped",
@@ -159,7 +159,7 @@ def drawn_walk(experiment: ExperimentSetup, table: GaitTable, first: int, rest: 
     return made
 
 
-class Planned:
+class PreparedExperiment:
     """An experiment with its tables made, and what homing found once it has run (`homed`).
 
     Whatever takes longer than a part of a control cycle is done here: nothing waits for it once SYNC runs.
@@ -202,7 +202,7 @@ class Planned:
         if experiment.targets is not None and len(experiment.targets.rope_m) != steps:
             raise InputError(f"the motion to repeat has {len(experiment.targets.rope_m)} control cycles, its gait "
                              f"{steps}; give a trial that was completed.")
-        self.homed: Homed | None = None
+        self.homed: HomingResult | None = None
         self.impedance, slowed = derated(
             calibration, experiment.impedance, 1.0 / rate_hz, experiment.reference.peak_n)
         self.warning = " ".join([*([slowed] if slowed else []), *said_of(calibration, start_n)]) or None

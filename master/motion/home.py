@@ -66,7 +66,7 @@ def reached_n(top_n: float) -> float:
     return 1.5 + 1.1 * top_n
 
 
-class Homed(NamedTuple):
+class HomingResult(NamedTuple):
     """Result of homing: the half-width, m, of the friction loop at the preload, and the homing fit."""
 
     half_width_m: float
@@ -80,7 +80,7 @@ Row = tuple[float, float, float]
 def home(
     exchange: Exchange, calibration: Calibration, homing: Homing, slack_m: float, start_gain: float = 1.0, *,
     guessed: bool = False,
-) -> Homed:
+) -> HomingResult:
     """Home the servo, and slacken the rope by `slack_m` beyond the loss of its tension.
 
     Both drives must be enabled; `start_gain` is START's reading of 1 N. `guessed`: the calibration is the starting
@@ -104,7 +104,7 @@ def home(
     work = adapt(calibration, exchange.wire.period_ns * 1e-9, position + shift, start / start_gain, angle,
                  reading / start_gain, undeclared_lag(exchange, calibration))
     day = moves.hold_while(exchange, work)
-    return Homed(0.5 * abs(at[0] - at[1]), day._replace(start_offset_n=reading))
+    return HomingResult(0.5 * abs(at[0] - at[1]), day._replace(start_offset_n=reading))
 
 
 def _slack(inputs: Inputs) -> bool:

@@ -20,7 +20,7 @@ from master.cycle.log import CycleSink
 from master.cycle.run_safely import run_safely
 from master.cycle.shared_exchange import Answer, Running, Work, together
 from master.motion import gait, moves
-from master.motion.experiment_run import ExperimentSetup, Planned, Result, result_of
+from master.motion.experiment_run import ExperimentSetup, PreparedExperiment, Result, result_of
 from master.motion.home import reached_n
 from master.motion.scripted_experiments import Scripted
 from master.network.link import Link
@@ -54,11 +54,11 @@ class PlannedPaths:
 
     def __init__(self, setups: Mapping[str, ExperimentSetup], whole: ExperimentSetup, script: str = "") -> None:
         self.scripts = {name: Scripted(setup, script) for name, setup in setups.items()} if script else {}
-        self.planned = {name: self.scripts[name].planned if script else Planned(setup)
+        self.planned = {name: self.scripts[name].planned if script else PreparedExperiment(setup)
                         for name, setup in setups.items()}
         self.experiment, self._whole = next(iter(setups.values())), whole
         bench = whole.network.bench
-        leads: dict[str, Planned] = {}
+        leads: dict[str, PreparedExperiment] = {}
         for path in bench.force_paths:
             lead = leads.setdefault(path.joint, self.planned[path.name])
             self.planned[path.name].first, self.planned[path.name].rest = lead.first, lead.rest

@@ -16,7 +16,7 @@ from master.cycle.inputs import CycleAnnotations
 from master.cycle.log import CycleSink
 from master.cycle.run_safely import run_safely
 from master.motion import gait
-from master.motion.experiment_run import ExperimentSetup, Planned, Result, result_of
+from master.motion.experiment_run import ExperimentSetup, PreparedExperiment, Result, result_of
 from master.motion.home import home, reached_n
 from master.motion.scripted_motions import MotionContext, do
 from master.network.link import Link
@@ -56,7 +56,7 @@ class Scripted:
         cycles = next((part.cycles for part in self.script if isinstance(part, ScriptedWalk) and part.cycles), None)
         if cycles is not None:
             experiment = dataclasses.replace(experiment, gait=dataclasses.replace(experiment.gait, cycles=cycles))
-        self.name, self.planned, self.count = name, Planned(experiment), 0
+        self.name, self.planned, self.count = name, PreparedExperiment(experiment), 0
         self.pull_n = max((motion.start_n for part in self.script if isinstance(part, ScriptPart)
                            for motion in (*part.first, *part.lap) if isinstance(motion, Pull)), default=0.0)
 

@@ -20,17 +20,17 @@ RELEASE: Final = 0x2020
 SIGNATURE: Final = b"rels"
 
 
-class Acknowledged(NamedTuple):
+class DriveRelease(NamedTuple):
     """One drive: "released", "nothing to release", "still active" (free the input first) or "no such object"."""
 
     drive: str
     became: str
 
 
-def acknowledge(link: Link, wire: WireLayout) -> list[Acknowledged]:
+def acknowledge(link: Link, wire: WireLayout) -> list[DriveRelease]:
     """Release every drive that waits for it; raises `BringUpError` for another master, or a drive that is silent."""
     refuse_rival(link)
-    return [Acknowledged(wire.nodes[node].name, _release(link, wire, node)) for node in wire.drives]
+    return [DriveRelease(wire.nodes[node].name, _release(link, wire, node)) for node in wire.drives]
 
 
 def _release(link: Link, wire: WireLayout, node: int) -> str:

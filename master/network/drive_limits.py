@@ -58,7 +58,7 @@ class DriveLimit:
 
 
 @dataclass(frozen=True, slots=True)
-class _Wanted:
+class _LimitTarget:
     """A limit in SI that an object is to hold; `scale` is SI per count, None where the device does not declare it.
 
     `low`: the object bounds a range from below.
@@ -94,7 +94,7 @@ def _is_rope(wire: WireLayout, node: int) -> bool:
     return isinstance(wire.nodes[node].fitting, ServoMapping)
 
 
-def _of_rope(wire: WireLayout, node: int, limits: Limits) -> Iterator[_Wanted]:
+def _of_rope(wire: WireLayout, node: int, limits: Limits) -> Iterator[_LimitTarget]:
     """Yield the limits of a rope drive; those of its force path."""
     bench, entry = wire.network.bench, wire.nodes[node]
     path = next(path for path in bench.force_paths if bench.named(path.actuator).node_id == node)
@@ -104,8 +104,8 @@ def _of_rope(wire: WireLayout, node: int, limits: Limits) -> Iterator[_Wanted]:
     assert isinstance(fitting, ServoMapping)
     held = bool(fitting.tension and path.start) and has_tension_limit(entry)
     if held:
-        yield _Wanted(TENSION, 0x2012, 0, YIELD_MARGIN * own.start_n, fitting.tension_scale, "N")
-        yield _Wanted(TENSION, 0x2013, 0, TRIP_MARGIN * own.start_n, fitting.tension_scale, "N")
+        yield _LimitTarget(TENSION, 0x2012, 0, YIELD_MARGIN * own.start_n, fitting.tension_scale, "N")
+        yield _LimitTarget(TENSION, 0x2013, 0, TRIP_MARGIN * own.start_n, fitting.tension_scale, "N")
     yield from _following(entry, FOLLOWING_M, position, "m")
     force_n = own.start_n + TORQUE_MARGIN_N if held else UNHELD_SHARE * own.start_n
     yield from _torque(force_n * _radius_m(entry), torque, "N·m")
@@ -113,7 +113,7 @@ def _of_rope(wire: WireLayout, node: int, limits: Limits) -> Iterator[_Wanted]:
     yield from _range((-SERVO_RANGE_M, SERVO_RANGE_M), position, "m")
 
 
-def _of_joint(wire: WireLayout, node: int, limits: Limits) -> Iterator[_Wanted]:
+def _of_joint(wire: WireLayout, node: int, limits: Limits) -> Iterator[_LimitTarget]:
     """Yield the limits of a joint drive: the widest of the force paths over that joint."""
     bench, entry = wire.network.bench, wire.nodes[node]
     joint = next(joint for joint in bench.joints if joint.driven_by == entry.name)
@@ -131,26 +131,26 @@ def has_tension_limit(entry: NodeEntry) -> bool:
     return all(key(index) in entry.dictionary.entries for index in (0x2012, 0x2013))
 
 
-def _following(entry: NodeEntry, window: float, position: float, unit: str) -> Iterator[_Wanted]:
-    yield _Wanted(FOLLOWING, 0x6065, 0, window, abs(position), unit)
-    yield _Wanted(FOLLOWING, 0x6066, 0, FOLLOWING_S, 1e-3, "s")
+def _following(entry: NodeEntry, window: float, position: float, unit: str) -> Iterator[_LimitTarget]:
+    yield _LimitTarget(FOLLOWING, 0x6065, 0, window, abs(position), unit)
+    yield _LimitTarget(FOLLOWING, 0x6066, 0, FOLLOWING_S, 1e-3, "s")
 
 
-def _torque(torque: float, scale: float | None, unit: str) -> Iterator[_Wanted]:
+def _torque(torque: float, scale: float | None, unit: str) -> Iterator[_LimitTarget]:
     for index in (0x6072, 0x60E0, 0x60E1):
-        yield _Wanted(TORQUE, index, 0, torque, None if scale is None else abs(scale), unit)
+        yield _LimitTarget(TORQUE, index, 0, torque, None if scale is None else abs(scale), unit)
 
 
-def _speed(entry: NodeEntry, speed: float, position: float, unit: str) -> Iterator[_Wanted]:
+def _speed(entry: NodeEntry, speed: float, position: float, unit: str) -> Iterator[_LimitTarget]:
     declared = _quantity(lambda: scales(entry.dictionary).get(key(0x607F)))
-    yield _Wanted(SPEED, 0x607F, 0, speed, abs(declared or position), unit)
-    yield _Wanted(SPEED, 0x6080, 0, speed, _quantity(lambda: _motor_speed(entry)), unit)
+    yield _LimitTarget(SPEED, 0x607F, 0, speed, abs(declared or position), unit)
+    yield _LimitTarget(SPEED, 0x6080, 0, speed, _quantity(lambda: _motor_speed(entry)), unit)
 
 
-def _range(ends: tuple[float, float], position: float, unit: str) -> Iterator[_Wanted]:
+def _range(ends: tuple[float, float], position: float, unit: str) -> Iterator[_LimitTarget]:
     low, high = ends if position > 0.0 else ends[::-1]
-    yield _Wanted(RANGE, 0x607D, 1, low, position, unit, low=True)
-    yield _Wanted(RANGE, 0x607D, 2, high, position, unit)
+    yield _LimitTarget(RANGE, 0x607D, 1, low, position, unit, low=True)
+    yield _LimitTarget(RANGE, 0x607D, 2, high, position, unit)
 
 
 def _motor_speed(entry: NodeEntry) -> float:
@@ -179,7 +179,7 @@ def _quantity(compute: Callable[[], float | None]) -> float | None:
     return found if found else None
 
 
-def _made(entry: NodeEntry, wanted: _Wanted) -> DriveLimit | None:
+def _made(entry: NodeEntry, wanted: _LimitTarget) -> DriveLimit | None:
     """Return a limit in counts, no wider than the device's file declares; None for an object that cannot hold it."""
     declared = entry.dictionary.entries.get(key(wanted.index, wanted.subindex))
     if declared is None or not declared.writable or not declared.data_type.integer or wanted.scale is None:

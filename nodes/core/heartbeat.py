@@ -66,7 +66,7 @@ class Producer(Part):
         return self._device.objects.number(key(PRODUCER)) * MS
 
 
-class _Watched:
+class _MonitoredNode:
     """State of the consumer for one node in 0x1016."""
 
     __slots__ = ("_consumer", "due_ns", "lost", "node_id", "timeout_ns")
@@ -89,7 +89,7 @@ class Consumer(Part):
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._watched: list[_Watched] = []
+        self._watched: list[_MonitoredNode] = []
         self.checks = {CONSUMER: self._check}
         self.applied = {CONSUMER: lambda _sub, _value, _now: self._read()}
 
@@ -103,7 +103,7 @@ class Consumer(Part):
         for watched in self._watched:
             yield HEARTBEAT_BASE + watched.node_id, watched.receive
 
-    def heard(self, watched: _Watched) -> None:
+    def heard(self, watched: _MonitoredNode) -> None:
         """Process a received heartbeat: restart the consumer time, end a loss."""
         self._device.wake(watched.due_ns)
         if watched.lost:
@@ -139,7 +139,7 @@ class Consumer(Part):
         """Read 0x1016: unchanged entries stay monitored, changed ones restart."""
         before = {(w.node_id, w.timeout_ns): w for w in self._watched}
         wanted = [_entry(word) for word in self._words().values()]
-        self._watched = [before.pop(w) if w in before else _Watched(self, *w) for w in wanted if _active(*w)]
+        self._watched = [before.pop(w) if w in before else _MonitoredNode(self, *w) for w in wanted if _active(*w)]
         for gone in before.values():
             if gone.lost:
                 self._device.emcy.clear(Emcy.HEARTBEAT, gone.node_id)

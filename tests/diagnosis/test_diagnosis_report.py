@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.compared_signals import Compared, Figures
+from diagnosis.compared_signals import Figures, SignalResiduals
 from diagnosis.findings import Findings
 from diagnosis.report import figure_export, figure_tables, residual_picture, residuals
 from diagnosis.report.diagnosis_page import build, write
@@ -41,15 +41,15 @@ def measured() -> Table:
     return table("rubbing.csv", trial(Bench(cap=0.25), seed=1, cycles=4))
 
 
-def traced(measured: Table, name: str, slack: float) -> Compared:
+def traced(measured: Table, name: str, slack: float) -> SignalResiduals:
     """Return an output of the trial beside a simulation without friction, and beside one with most of it."""
     keep = slice(None, None, 16)
     speed = np.gradient(measured["servo_position_m"], measured["time_s"])
     before = slack * np.tanh(speed / 1e-3) * measured[name] / 20.0
     along = {n: measured[n][keep] for n in ("time_s", "gait_percent", "knee_angle_rad", "servo_position_m",
                                             "tension_start_n", "tension_end_n")}
-    return Compared(name, "N", measured[name][keep], before[keep], 0.9 * before[keep], 0.25 * before[keep],
-                    measured["cycle"][keep].astype(np.intp), {**along, "rope_m_s": speed[keep]})
+    return SignalResiduals(name, "N", measured[name][keep], before[keep], 0.9 * before[keep], 0.25 * before[keep],
+                           measured["cycle"][keep].astype(np.intp), {**along, "rope_m_s": speed[keep]})
 
 
 @pytest.fixture(scope="module")

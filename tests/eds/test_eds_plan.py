@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from eds import dictionary
 from eds.datatype import DataType
 from eds.dictionary import Dictionary, Entry, key
-from eds.pdo_plan import JOINED_BYTES, Joined, compile_plan, overlay
+from eds.pdo_plan import JOINED_BYTES, JoinedUnpacker, compile_plan, overlay
 from parameters import InputError
 
 NODE = 5
@@ -65,7 +65,7 @@ def test_frames_decoded_in_one_call_say_what_each_says_alone(cases):
         stamps.append(stamp)
         buffer += struct.pack("<q8s", stamp, plans[-1].pack(*values))
     assert len(buffer) == JOINED_BYTES * len(plans)
-    together = Joined(plans)
+    together = JoinedUnpacker(plans)
     times, found = together.unpack_si(memoryview(buffer))
     frames = [buffer[16 * n + 8:16 * n + 16] for n in range(len(plans))]
     alone = [plan.unpack(frame) if plan.struct else (frame,) for plan, frame in zip(plans, frames, strict=True)]

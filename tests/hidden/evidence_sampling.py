@@ -27,7 +27,7 @@ from scipy.special import logsumexp
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.hypothesis_search import search
 from estimation.path_model import PATH_MODEL
-from estimation.posterior import Gaussian, Observed, PosteriorMode, loss, widened
+from estimation.posterior import Gaussian, PosteriorMode, SessionData, loss, widened
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 from tests.hidden.evidence_calibration import hidden_jobs
@@ -37,7 +37,7 @@ MOVES = 4
 """Crank–Nicolson moves of a particle at each β."""
 
 
-def cost_of(observed: Observed, prior: Gaussian, variants: Sequence[Variant]) -> Callable[[Array], float]:
+def cost_of(observed: SessionData, prior: Gaussian, variants: Sequence[Variant]) -> Callable[[Array], float]:
     """Return the cost of `estimation.posterior` as a function of x, the constants and feature weights."""
     origin, mean, covariance, active = widened(observed.model.constants, prior, variants)
     factor = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
@@ -53,7 +53,7 @@ def cost_of(observed: Observed, prior: Gaussian, variants: Sequence[Variant]) ->
     return cost
 
 
-def sampled(observed: Observed, prior: Gaussian, variants: Sequence[Variant], at: PosteriorMode, particles: int
+def sampled(observed: SessionData, prior: Gaussian, variants: Sequence[Variant], at: PosteriorMode, particles: int
             ) -> float:
     """Return the log evidence, nats, by annealing from the Laplace approximation at the mode `at`."""
     cost = cost_of(observed, prior, variants)

@@ -13,7 +13,7 @@ from estimation.transfer import homing_fit
 from estimation.transfer.homing_fit import HomingFit
 from master.control import extended, friction_following, learning
 from master.control.controller_io import ControllerInput
-from master.control.friction_following import Followed
+from master.control.friction_following import FrictionChange
 from master.control.gait_table import tabulate
 from master.motion import gait
 from master.settings import Impedance
@@ -219,7 +219,7 @@ def test_what_the_drive_makes_of_a_target_is_learnt_and_converges(lag_hz: float,
 
 
 def evidence_of(
-    law: inverse.Law, followed: Followed, true: inverse.Law, offset_m: float = 0.0,
+    law: inverse.Law, followed: FrictionChange, true: inverse.Law, offset_m: float = 0.0,
     play_m: float = 0.0,
 ) -> list[friction_following.CycleEvidence]:
     """What one gait cycle tells a controller that believes `law` as followed on a bench that is `true`, with noise.
@@ -264,7 +264,7 @@ def test_a_change_of_friction_is_followed(factor: float, offset_m: float) -> Non
     of zero says against it."""
     law = inverse.law(nominal(), PERIOD_S)
     true = changed(law, factor, 0.0)
-    followed = Followed()
+    followed = FrictionChange()
     for cycle in range(friction_following.SETTLING + 11):
         here = law if cycle <= friction_following.SETTLING else true
         followed = friction_following.follow(followed, evidence_of(law, followed, here, offset_m))
@@ -280,7 +280,7 @@ def test_an_error_of_the_model_does_not_move_friction(wrong: dict[str, float]) -
     what the play and the breakaway, which take their part of the error first, change in the evidence."""
     law = inverse.law(nominal(), PERIOD_S)
     true = law._replace(**wrong)
-    followed = Followed()
+    followed = FrictionChange()
     for _ in range(10):
         followed = friction_following.follow(followed, evidence_of(law, followed, true))
     moved = exponent(friction_following.law_at(law, followed)) / exponent(law) - 1.0
@@ -291,7 +291,7 @@ def test_an_error_of_the_model_does_not_move_friction(wrong: dict[str, float]) -
 def test_play_at_the_knee_is_found_while_friction_is_as_homed(play_m: float) -> None:
     """Within a third after the first gait cycles, less what its doubt draws it towards none."""
     law = inverse.law(nominal(), PERIOD_S)
-    followed = Followed()
+    followed = FrictionChange()
     for _ in range(friction_following.SETTLING):
         followed = friction_following.follow(followed, evidence_of(law, followed, law, play_m=play_m))
     assert followed.play == pytest.approx((1.0 - 0.5**friction_following.SETTLING) * play_m, rel=0.33, abs=1e-5)
@@ -299,14 +299,14 @@ def test_play_at_the_knee_is_found_while_friction_is_as_homed(play_m: float) -> 
 
 def test_a_bench_that_breaks_away_harder_is_followed() -> None:
     law = inverse.law(nominal(), PERIOD_S)
-    harder, followed = changed(law, 1.0, 0.3), Followed()
+    harder, followed = changed(law, 1.0, 0.3), FrictionChange()
     for _ in range(8):
         followed = friction_following.follow(followed, evidence_of(law, followed, harder))
     assert 0.05 < followed.breakaway < 0.3
 
 
 def test_without_evidence_friction_stays() -> None:
-    assert friction_following.follow(Followed(), []) == Followed()
+    assert friction_following.follow(FrictionChange(), []) == FrictionChange()
 
 
 def test_rows_at_the_start_of_the_loading_are_no_evidence() -> None:

@@ -17,7 +17,7 @@ from eds.bench.bench_network import END, KNEE, SERVO, START, Network
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.run_safely import run_safely
-from master.motion.experiment_run import ExperimentSetup, Planned
+from master.motion.experiment_run import ExperimentSetup, PreparedExperiment
 from master.network.link import WANTED, Link
 from master.settings import Gait, Limits
 from physics.reference import paper_reference
@@ -72,7 +72,7 @@ def ran(case: Case, folder: Path) -> Ran:
 
 def _gait(network: Network, controller: str) -> Callable[[Exchange], None]:
     gait = Gait(peak_n=30.0, period_s=0.8, cycles=1, settle=0, controller=controller)
-    return Planned(ExperimentSetup(paper_reference(30.0, 0.8), network, gait=gait)).perform
+    return PreparedExperiment(ExperimentSetup(paper_reference(30.0, 0.8), network, gait=gait)).perform
 
 
 def _scripted(case: Case) -> Callable[[Exchange], None]:

@@ -44,12 +44,12 @@ class Series(NamedTuple):
     tip: str = ""
 
 
-class Named(str):
+class NamedText(str):
     """Words for a thing that has a name in files: the page shows the words, and `tip`, the name, as their tooltip."""
 
     tip: str
 
-    def __new__(cls, words: str, tip: str) -> Named:
+    def __new__(cls, words: str, tip: str) -> NamedText:
         """Make the text `words`."""
         made = super().__new__(cls, words)
         made.tip = tip
@@ -230,4 +230,4 @@ def _kind(word: str) -> str:
 
 def _text(text: str) -> str:
     shown = escape(text, quote=True).replace("\0", "␀")
-    return f'<span title="{escape(text.tip, quote=True)}">{shown}</span>' if isinstance(text, Named) else shown
+    return f'<span title="{escape(text.tip, quote=True)}">{shown}</span>' if isinstance(text, NamedText) else shown

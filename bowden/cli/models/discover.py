@@ -16,7 +16,7 @@ from bowden.cli.terminal import CommandAnswer
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
-    from bowden.models.discovering import Discovered
+    from bowden.models.discovering import DiscoveryResult
 
 Trials = Annotated[list[Path] | None, typer.Argument(
     metavar="TRIAL…", help="Trials of one session, MCAP or CSV.", show_default=False)]
@@ -56,7 +56,7 @@ def discover(
     return CommandAnswer(found.as_json(), lambda: _tell(found, written))
 
 
-def _write(found: Discovered, output: Path | None, picture: Path | None, promote: Path | None) -> list[Path]:
+def _write(found: DiscoveryResult, output: Path | None, picture: Path | None, promote: Path | None) -> list[Path]:
     """Write the requested files; without a law nothing is written."""
     from physics.effects import own_effects
 
@@ -73,7 +73,7 @@ def _write(found: Discovered, output: Path | None, picture: Path | None, promote
     return [path for path in (output, picture, promote) if path is not None]
 
 
-def _tell(found: Discovered, written: list[Path]) -> None:
+def _tell(found: DiscoveryResult, written: list[Path]) -> None:
     from diagnosis.report.headline import law_sentences
 
     for sentence in law_sentences(found.laws):

@@ -19,7 +19,7 @@ from parameters import InputError
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
-    from bowden.models.identification import Identified
+    from bowden.models.identification import IdentificationResult
 
 What = Annotated[str, typer.Argument(
     metavar="WHAT", help="stiffness, swing, friction, sensors, gait (on a calibration) or all.")]
@@ -79,8 +79,8 @@ def identify(
     return _written(found, output, str(recording), picture, logbook, f"Bench: {chosen.told}")
 
 
-def _written(found: Sequence[Identified], output: Path, source: str, picture: Path | None, logbook: Path | None,
-             last: str = "") -> CommandAnswer:
+def _written(found: Sequence[IdentificationResult], output: Path, source: str, picture: Path | None,
+             logbook: Path | None, last: str = "") -> CommandAnswer:
     """Write the calibration and the picture of each force path, and enter them; return the answer."""
     from bowden.trials.force_paths import file_of
     from physics.calibration import write
@@ -114,7 +114,7 @@ def _written(found: Sequence[Identified], output: Path, source: str, picture: Pa
                          ending.status_of("completed" if found[0].reason is None else "stopped", found[0].reason))
 
 
-def _tell(found: Identified, output: Path, source: str) -> None:
+def _tell(found: IdentificationResult, output: Path, source: str) -> None:
     if found.calibration is None:
         print(f"Stopped: {found.reason}; no calibration was written. Trial: {source}")
         return

@@ -18,7 +18,7 @@ from parameters import InputError
 
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
-    from bowden.replay.onto_bus import Played, Playing
+    from bowden.replay.onto_bus import PlaybackResult, Playing
     from trial.read import Trial
 
 LOST = ("frames were not taken: nodes on the bus send the same COB-IDs, or nobody is on it; "
@@ -197,7 +197,7 @@ def _position(word: str) -> int:
         raise InputError(f"{word!r} is no command; {HELP}") from None
 
 
-def _played(recorded: Trial, played: Played) -> CommandAnswer:
+def _played(recorded: Trial, played: PlaybackResult) -> CommandAnswer:
     """Return the figures of a replay; status 1 if the bus refused some frames."""
     result = {"trial": str(recorded.path), "onto": "bus", **played.as_json()}
 
