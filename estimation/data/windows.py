@@ -13,7 +13,7 @@ import numpy as np
 from estimation.data.table import Table
 
 
-def bounded(given: Table, most_s: float = 240.0, count: int = 12, seam_s: float = 1.0) -> Table:
+def bounded(given: Table, most_s: float = 120.0, count: int = 12, seam_s: float = 1.0) -> Table:
     """Return a trial; of one longer than `most_s`, `count` windows that are as long together, spread evenly over it.
 
     The time between two windows is cut to `seam_s`, a gap after which the friction states are unknown again.  A note
