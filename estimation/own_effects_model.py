@@ -87,7 +87,7 @@ class OwnEffectsModel(ForwardModel):
         ahead[row] += table.step[row]
         both = self.base.predict(np.concatenate([q, ahead], axis=1), trial)
         units = np.array([in_units(table, column, own.carrier, PATH_CARRIERS[own.carrier]) for column in q.T])
-        slopes = (both[q.shape[1]:] - both[:q.shape[1]]) / table.step[row] * units[:, None]
+        slopes: Array = (both[q.shape[1]:] - both[:q.shape[1]]) / table.step[row] * units[:, None]
         course, function = modulated(self.base, q[:, 0], trial), own.function
         if function.depends != "nothing" and getattr(course.course, function.depends) is None:
             return np.zeros_like(slopes)  # a trial without the signal does not show the effect
