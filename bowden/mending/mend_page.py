@@ -45,14 +45,12 @@ def _sentence(result: MendedBench) -> str:
 
 
 def _words(result: dict[str, Any]) -> str:
-    """Return a step's result in words: a trial, a diagnosis, a plan or a law."""
+    """Return a step's result in words: a trial, a diagnosis or a plan."""
     if "file" in result:
         percent = "END not measured" if result["percent"] is None else f"END {number(result['percent'], 3)} %"
         stopped = f" ({result['stop_reason']})" if result["stop_reason"] else ""
         return f"{result['file']}: {result['outcome']}{stopped}, {result['seconds']:.0f} s, {percent}"
     if "verdict" in result:
         among = ", ".join(name.replace("_", " ") for name in result["class"])
-        return str(result["verdict"]) + (f": {among}" if among else "")
-    if "experiment" in result:
-        return str(result["experiment"] or "no experiment is likely to decide")
-    return "; ".join(result["equations"]) or "no law"
+        return "; ".join([str(result["verdict"]) + (f": {among}" if among else ""), *result["equations"]])
+    return str(result["experiment"] or "no experiment is likely to decide")

@@ -1,6 +1,6 @@
 """Steps of an unattended repair, from reference trials to an extension that has gained in the loop.
 
-    gait → diagnosis → (experiment → diagnosis)… → extension or law → trials A B A B … → kept or undone
+    gait → diagnosis → repeat → diagnosis → (experiment → diagnosis)… → trials A B A B … → kept or undone
 
 A: the bench's calibration alone, B: with the extension.  Only END as its sensor reads it decides.
 """
@@ -16,17 +16,17 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import t as student
 
-from bowden import model_files
-from bowden.bench import buses
+from bowden.bench import buses, configuration
 from bowden.bench.buses import BusSettings
 from bowden.mending.journal import Journal
 from bowden.model_files import BenchModel
 from bowden.models.diagnosing import Diagnosis, DiagnosisResult
-from bowden.models.discovering import discover
 from bowden.models.experiment_plan import of_trials
 from bowden.progress import SILENT, Progress
-from bowden.trials.experiment import GAIT, Experiment, run
+from bowden.trials import repeated_motion, session
+from bowden.trials.experiment import GAIT, Experiment
 from bowden.trials.recorded_trial import Trial
+from bowden.trials.session import Prepared
 from parameters import InputError
 from parameters.files import write_whole
 
@@ -37,6 +37,7 @@ STOPS: Final = 2
 EXPERIMENTS: Final = 2
 """Largest number of experiments that are run to decide between effects."""
 JOURNAL, EXTENDED, PAGE = "journal.jsonl", "extended.toml", "mend.html"
+REPEAT: Final = repeated_motion.NAME
 FIGURE: Final = "relative_rmse_percent"
 """Figure that decides: END as its sensor reads it, since a run sees no true signal."""
 INTERRUPTED: Final = "interrupted"
@@ -113,6 +114,7 @@ class _Run:
         if not gaits:
             raise InputError("mend: no reference trial is a gait; record one with bowden trial.")
         walked = max(gaits, key=lambda trial: float(trial.metadata["peak_n"]))
+        self.walked = Path(walked.path)
         self.gait = Experiment(peak_n=float(walked.metadata["peak_n"]), period_s=float(walked.metadata["period_s"]),
                                cycles=cycles, controller=walked.metadata["controller"])
         self.budget_s, self.used_s, self.stops = 3600.0 * hours, 0.0, 0
@@ -140,6 +142,8 @@ class _Run:
         finder = Diagnosis(self.plain).fit(self.reference)
         found = self._diagnosed("diagnosis", finder, trials)
         tried: set[str] = set()
+        if found.verdict in ("ambiguous", "unexplained"):
+            found = self._repeated(finder, found)
         while found.verdict in ("ambiguous", "unexplained") and len(tried) < EXPERIMENTS:
             name = self._proposed(found, trials, tried)
             if name is None:
@@ -147,10 +151,25 @@ class _Run:
             tried.add(name)
             trials.append(self._trial(name, replace(self.gait, name=name, cycles=None)))
             found = self._diagnosed(f"diagnosis with {name}", finder, trials)
-        return self._proven(found, trials)
+        return self._proven(found)
+
+    def _repeated(self, finder: Diagnosis, found: DiagnosisResult) -> DiagnosisResult:
+        """Return the diagnosis of the reference trial's own motion, if it separates more than that of the gait.
+
+        The diagnosis compares the two trials directly, so that the repeated one is diagnosed alone.
+        """
+        try:
+            prepared = repeated_motion.prepared(self.walked, configuration.read(None), self.bus)
+        except InputError as error:
+            reason = str(error)
+            self.journal.step(REPEAT, lambda: {"experiment": f"not repeated: {reason}"})
+            return found
+        again = self._diagnosed(f"diagnosis of {REPEAT}", finder, [self._trial(REPEAT, prepared)])
+        separates = again.causes and (not found.causes or len(again.rivals) < len(found.rivals))
+        return again if separates else found
 
     def _proposed(self, found: DiagnosisResult, trials: Sequence[Path], tried: set[str]) -> str | None:
-        """Return the experiment that is most likely to decide, None if none is; a law is sought then."""
+        """Return the experiment that is most likely to decide, None if none is."""
         if found.verdict != "ambiguous":
             return None
 
@@ -161,19 +180,15 @@ class _Run:
         name = self.journal.step(f"plan {len(tried) + 1}", plan)["experiment"]
         return None if name in tried else name
 
-    def _proven(self, found: DiagnosisResult, trials: Sequence[Path]) -> MendedBench:
-        """Extend the model by what was found, or by a law, and return the outcome of trials without and with it."""
-        names = [cause["effect"] for cause in found.causes]
-        outcome = MendedBench("", self.folder, found.verdict, names)
+    def _proven(self, found: DiagnosisResult) -> MendedBench:
+        """Extend the model by effects and terms, and return the outcome of trials without and with the extension."""
+        names, equations = [cause["effect"] for cause in found.causes], [term.equation for term in found.terms]
+        outcome = MendedBench("", self.folder, found.verdict, names, equations)
         if found.verdict == "refused":
             raise _EndedError(f"the trials were refused: {found.warnings[0]}")
-        extended = found.model if names else None
-        equations: list[str] = []
-        if found.verdict == "unexplained":
-            extended, equations = self._law(trials)
-        if extended is None:
+        if not names and not equations:
             return replace(outcome, ending="nothing to mend: no cause is named and no law was found")
-        outcome = replace(outcome, equations=equations)
+        extended = found.model
         write_whole(self.folder / EXTENDED, extended.text(), overwrite=True)
         before, after = list[float](), list[float]()
         controlled = replace(self.gait, controller="extended")
@@ -190,31 +205,25 @@ class _Run:
             "undone: the extension does not gain in the loop")
         return replace(outcome, ending=ending, before=before, after=after, kept=kept)
 
-    def _law(self, trials: Sequence[Path]) -> tuple[BenchModel | None, list[str]]:
-        def search() -> dict[str, Any]:
-            found = discover(trials[:1], self.reference)
-            text = found.model.text() if found.terms else ""
-            return {"equations": [term.equation for term in found.terms], "text": text}
-
-        result = self.journal.step("law", search)
-        if not result["equations"]:
-            return None, []
-        return model_files.extended(self.plain or model_files.nominal(), result["text"]), result["equations"]
-
     def _diagnosed(self, step: str, finder: Diagnosis, trials: Sequence[Path]) -> DiagnosisResult:
         """Diagnose the trials together; the journal keeps the answer for the page, the files give it again."""
-        found = finder.diagnose(trials)
+        found = finder.diagnose(trials, terms=True)
         self.journal.step(step, lambda: {"verdict": found.verdict, "class": list(found.rivals),
                                          "causes": [cause["effect"] for cause in found.causes],
+                                         "equations": [term.equation for term in found.terms],
                                          "warnings": list(found.warnings)})
         return found
 
-    def _trial(self, step: str, experiment: Experiment) -> Path:
+    def _trial(self, step: str, experiment: Experiment | Prepared) -> Path:
         """Record a trial, if the journal has none, and return its file; end the run by time and by stopped trials."""
         path = self.folder / f"{step}.mcap"
 
         def record() -> dict[str, Any]:
-            trial = run(experiment, bus=self._bus(), output=path, overwrite=True, progress=self.progress)
+            bus = self._bus()
+            prepared = experiment.prepared(bus, self.progress) if isinstance(experiment, Experiment) else replace(
+                experiment, chosen=bus)
+            figures = session.perform(prepared, path, overwrite=True, progress=self.progress)
+            trial = Trial(figures["trial"] or path, figures)
             if (trial.figures.get("stop_reason") or "").startswith(INTERRUPTED):
                 raise KeyboardInterrupt  # not in the journal: the trial is recorded again when the run goes on
             seconds = 1e-9 * float(trial.time_ns[-1] - trial.time_ns[0]) if len(trial) else 0.0
