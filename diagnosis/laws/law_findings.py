@@ -11,7 +11,7 @@ from diagnosis.compared_signals import Figures
 from diagnosis.evidence.decision import DOUBTED, SET_SHARE, departure
 from diagnosis.evidence.held_out import HeldOut, blocks_of
 from diagnosis.laws.law_result import Laws, Picture
-from diagnosis.laws.law_search import EXPLAINED, MOST_TERMS, WORSE, Candidate, LawSearch
+from diagnosis.laws.law_search import EXPLAINED, EXPLAINED_BY_PHASE, MOST_TERMS, WORSE, Candidate, LawSearch
 from estimation.data.table import Table
 from estimation.posterior import PosteriorMode, SessionData
 from estimation.reference_fit import ReferenceFit
@@ -51,7 +51,7 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
             there = search.fitted(more)
             then = search.predicted(more, there)
             errors = figures(residual, then)
-            fault = _worse(errors) or _fault(_judged(observed, errors), further=bool(chosen))
+            fault = _worse(errors) or _fault(_judged(observed, errors), more)
             back = not chosen and outside and departure(observed, there) <= DOUBTED and not _worse(errors)
             if not fault or back:
                 left = sum((f.rmse_after or 0.0) ** 2 / (f.floor or 1e-12) ** 2 for f in _judged(observed, errors))
@@ -82,19 +82,20 @@ def _worse(errors: dict[str, Figures]) -> str:
                  if (f.rmse_after or 0.0) > WORSE * (f.rmse_session or 0.0)), "")
 
 
-def _fault(judged: Sequence[Figures], *, further: bool) -> str:
+def _fault(judged: Sequence[Figures], terms: Sequence[Candidate]) -> str:
     """Return why a term does not gain, by errors on held-out cycles without it (`session`) and with it; "" if it does.
 
-    A first term must explain a share `EXPLAINED` of a judged signal's error.  A `further` one must lower a squared
-    error by that between reference trials.
+    A first term must explain a share `EXPLAINED` of a judged signal's error, or `EXPLAINED_BY_PHASE`.  A further one
+    must lower a squared error by that between reference trials.
     """
     if all((f.low or 0.0) <= 0.0 for f in judged):
         return "no gain on held-out cycles that whole cycles confirm"
     gains = [((f.rmse_session or 0.0), (f.rmse_after or 0.0), f.floor or 0.0) for f in judged]
-    if further and all(first**2 - last**2 < scatter**2 for first, last, scatter in gains):
+    least = EXPLAINED_BY_PHASE if terms[0].modulation == "phase_bump" else EXPLAINED
+    if len(terms) > 1 and all(first**2 - last**2 < scatter**2 for first, last, scatter in gains):
         return "a further term gains less than reference trials miss of each other"
-    if not further and all(last > (1.0 - EXPLAINED) * first for first, last, _ in gains):
-        return f"the best term explains less than {100.0 * EXPLAINED:.0f} % of the error"
+    if len(terms) == 1 and all(last > (1.0 - least) * first for first, last, _ in gains):
+        return f"the best term explains less than {100.0 * least:.0f} % of the error"
     return ""
 
 
