@@ -85,8 +85,8 @@ def _worse(errors: dict[str, Figures]) -> str:
 def _fault(judged: Sequence[Figures], terms: Sequence[Candidate]) -> str:
     """Return why a term does not gain, by errors on held-out cycles without it (`session`) and with it; "" if it does.
 
-    A first term must explain a share `EXPLAINED` of a judged signal's error, or `EXPLAINED_BY_PHASE`.  A further one
-    must lower a squared error by that between reference trials.
+    A first term must explain a share `EXPLAINED` of a judged signal's error.  A further one must lower a squared error
+    by that between reference trials.
     """
     if all((f.low or 0.0) <= 0.0 for f in judged):
         return "no gain on held-out cycles that whole cycles confirm"

@@ -45,8 +45,7 @@ EXPLAINED: Final = 0.25
 Trials in the reference condition reach 0.18: the discrepancy of a motion that no reference trial has is a law of
 motion, too.  Larger, it would hide small laws."""
 EXPLAINED_BY_PHASE: Final = 0.5
-"""As `EXPLAINED`, of a bump at a phase: it repeats in each cycle as the discrepancy does, so that held-out cycles do
-not tell them apart.  Trials in the reference condition reach 0.34."""
+"""Least share for a bump at a phase, which repeats as the discrepancy does; trials in that condition reach 0.34."""
 
 
 class Candidate(NamedTuple):
