@@ -206,7 +206,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         ("left out, determined: right part", [r["right"] == "1" for r in left]),
         ("left out, determined, with a law: right part", [r["right"] == "1" for r in left if r["terms"]]),
         ("outside: 2/3 of the way from session to sensor noise", [share(r) >= 2 / 3 for r in outside]),
-        ("outside: 2/3 of the way to the error without the change", [attained(r) >= 2 / 3 for r in outside if r["own"]]),
+        ("outside: 2/3 of the way to the error of no change", [attained(r) >= 2 / 3 for r in outside if r["own"]]),
         ("outside: form right", [r["right"] == "1" for r in outside]),
         ("healthy: with a term", [bool(r["terms"]) for r in healthy]),
         ("any output worse by more than 5 %", [float(r["worst"]) > 1.05 for r in rows])]
