@@ -26,7 +26,7 @@ from bowden.progress import SILENT, Progress
 from bowden.trials import repeated_motion, session
 from bowden.trials.experiment import GAIT, Experiment
 from bowden.trials.recorded_trial import Trial
-from bowden.trials.session import Prepared
+from bowden.trials.session import PreparedTrial
 from parameters import InputError
 from parameters.files import write_whole
 
@@ -214,7 +214,7 @@ class _Run:
                                          "warnings": list(found.warnings)})
         return found
 
-    def _trial(self, step: str, experiment: Experiment | Prepared) -> Path:
+    def _trial(self, step: str, experiment: Experiment | PreparedTrial) -> Path:
         """Record a trial, if the journal has none, and return its file; end the run by time and by stopped trials."""
         path = self.folder / f"{step}.mcap"
 
