@@ -133,8 +133,8 @@ def _compile(sources: int) -> Any:
 
 
 SOURCES: Final = (
-    "laws", "parameters", "path_laws", "terms", "plant/motor", "plant/cable", "plant/fabric", "plant/leg",
-    "plant/state_layout", "plant/chain", "plant/modulated", "plant/step",
+    "expressions", "laws", "parameters", "path_laws", "terms", "plant/motor", "plant/cable", "plant/fabric",
+    "plant/leg", "plant/state_layout", "plant/chain", "plant/modulated", "plant/step",
 )
 
 

@@ -42,7 +42,7 @@ def test_rope_and_knee_move_as_they_did_and_the_controller_replays(ran: Path, bo
     status, out, err = bowden("diagnose", ran / "again.mcap", "--healthy", ran / "good.mcap", "--json")
     assert status == 0, err
     told = json.loads(out)
-    assert "cable_friction" in told["rivals"]
+    assert "cable_friction" in told["class"]
     assert any("good.mcap has the motion of the trial: only their difference" in said for said in told["warnings"])
 
 
