@@ -29,7 +29,7 @@ HEAD = ("what", "here", "peer", "peer's", "ratio (quartiles)")
 
 
 IMPORTS = "import can, canopen, mcap, numba, numpy, typer; numba.njit('int64(int64)')(lambda a: a)"
-"""What a simulated trial cannot do without."""
+"""Import of the libraries that a simulated trial needs, and of one function compiled by numba."""
 
 
 def start() -> Iterator[Row]:

@@ -239,6 +239,17 @@ class Browser:
 
 
 @pytest.fixture
+def plain_catalogue() -> Iterator[None]:
+    """After the test the catalogue has the packaged effects alone: those of files are of the whole process."""
+    from physics.effects import catalogue, own_effects
+
+    yield
+    for name in own_effects.OWN:
+        del catalogue._effects[name]
+    own_effects.OWN.clear()
+
+
+@pytest.fixture
 def browser(opened_browser: Browser) -> Iterator[Browser]:
     """The session's browser at an empty page, and left so: no page of one test is alive in the next."""
     opened_browser.leave()

@@ -11,9 +11,10 @@ class CompleteCycle(NamedTuple):
     """One complete cycle, from the master's targets to the last input of the next SYNC; its bytes hold until the next.
 
     `sync_ns` and `target_ns` are the time stamps of SYNC and of the targets' frame, ns.  `inputs` has a time stamp and
-    data for each input in the order asked for, as `eds.pdo_plan.Joined` reads them.  `heartbeats` has the identifier,
-    time stamp (ns) and NMT state of each heartbeat, the master's own with the time at which it was sent.  `frames` has
-    the `frame_count` frames received since the last call up to this SYNC, as rows of `trial.mcap_file.cdr.FRAME_ROW`.
+    data for each input in the order asked for, as `eds.pdo_plan.JoinedUnpacker` reads them.  `heartbeats` has the
+    identifier, time stamp (ns) and NMT state of each heartbeat, the master's own with the time at which it was sent.
+    `frames` has the `frame_count` frames received since the last call up to this SYNC, as rows of
+    `trial.mcap_file.cdr.FRAME_ROW`.
     """
 
     sync_ns: int

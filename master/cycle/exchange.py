@@ -366,8 +366,7 @@ class Exchange(SyncCycle):
         return 1 << i
 
     def _keep_all(self, sync_ns: int, frames: Any) -> int:
-        """Store the TPDOs of all places, as `eds.pdo_plan.Joined` reads them; return the bits of those that were
-        refused."""
+        """Store all TPDOs, as `eds.pdo_plan.JoinedUnpacker` reads them; return the bits of those that were refused."""
         ends, values = self._unpack_all(frames)
         servo, knee, start, end = values
         if (start[0] > self._no_value[2] and end[0] > self._no_value[3] and not self.rehoming
@@ -409,7 +408,7 @@ class Exchange(SyncCycle):
                        f"{self.wire.nodes[self._order[i]].name}: {self._reception.refusal(i)}; not taken.")
 
     def _latch(self, sync_ns: int, frames: Any = None) -> Inputs:
-        """Collect the PDOs of one SYNC, or take `frames`, as `eds.pdo_plan.Joined` does; then check safety."""
+        """Collect the PDOs of one SYNC, or take `frames`, as `eds.pdo_plan.JoinedUnpacker` does; then check safety."""
         self.begin_latch(sync_ns)
         if frames is None:
             self.expect()

@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from physics.effects import catalogue, own_effects
 from physics.terms import Term, rows
 
+pytestmark = pytest.mark.usefixtures("plain_catalogue")
 Run = Callable[..., Any]
 GAIT = ("--serial", 3, "--cycles", 8, "--period", 1.3)
-
-
-@pytest.fixture(autouse=True)
-def plain_catalogue() -> Iterator[None]:
-    yield
-    for name in own_effects.OWN:
-        del catalogue._effects[name]
-    own_effects.OWN.clear()
 
 
 def saturating(here: Path, carrier: str, size: float) -> str:

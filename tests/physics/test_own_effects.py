@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from physics import expressions
 from physics.effects import catalogue, own_effects
 from physics.terms import Course, Term, rows, stated
 
+pytestmark = pytest.mark.usefixtures("plain_catalogue")
 FILE = """
 [effects.end_loses_gain]
 words = "END loses gain at high load."
@@ -21,14 +21,6 @@ carrier = "end_gain"
 expression = "max(tension_n - from_n, 0) / 30"
 parameters = { size = { low = -0.9, high = 0.9, likely = [-0.3, 0.3] }, from_n = { low = 5, high = 60 } }
 """
-
-
-@pytest.fixture(autouse=True)
-def plain_catalogue() -> Iterator[None]:
-    yield
-    for name in own_effects.OWN:
-        del catalogue._effects[name]
-    own_effects.OWN.clear()
 
 
 @pytest.mark.parametrize("text", [
