@@ -2,35 +2,128 @@
 
 Commands:
 
-    python -m benchmarks.logbook            performance; DuckDB only where it is installed
+    python -m benchmarks.logbook            cost of each operation
     python -m benchmarks.logbook --recorded DIR [--serials 0,1] [--healthy 20] [--sessions 8] [--changes NAMES]
                                             benches recorded into DIR: alarms without a change, changes dated and named
 
 Serials with serial % 3 == 2 are set aside: nothing is tuned on them (`tests.plants.draws`).  A session is six gait
-cycles (`benchmarks.recorded_sessions`); sessions are entered as `bowden logbook add` does, in the order that
-`--order` states.
+cycles; sessions are entered as `bowden logbook add` does, in the order that `--order` states.  The constants of a
+session are drawn anew within the tolerance of like benches, or, for the packaged plant, are those of another `--day`.
+A change begins in session `BEGINS`; the sessions before it are the healthy bench's own, recorded once.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import sqlite3
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from benchmarks.recorded_sessions import BEGINS, CHANGES, KINDS, record
+from bowden.bench import buses, configuration
 from bowden.models import logbook_entries
 from bowden.models.change_diagnosis import diagnosed_state
+from bowden.trials import session as trials
 from estimation.linear_sums import SessionSums
 from logbook import bench_page, database
 from logbook.bench_state import BenchState, state_of
 from logbook.database import NewTrial, open_logbook
 from physics.effects.hypotheses import HYPOTHESES
+from tests.hidden.family import like
+from tests.plants import draws, imposed
+from tests.plants.bench import IMPLEMENTATIONS, Bench, replaced
+
+PACKAGED: Final = "packaged"
+KINDS: Final = (*IMPLEMENTATIONS, PACKAGED)
+BEGINS: Final = 3
+"""First changed session, counted from 0: the fourth one."""
+WEAR_SESSIONS: Final = 8
+"""Sessions over which wear raises the friction of the cable."""
+CYCLES, PERIOD_S, PEAK_N, RATE_HZ, NOISE_N = 6, 1.2, 40.0, 500, 0.1
+
+
+class ChangeCase(NamedTuple):
+    """A change of a bench: of one of the family by session since it began, of the packaged plant as effects; names of
+    the effects of which one is right, and the part of the bench that the diagnosis should name."""
+
+    family: Callable[[Bench, int], Bench]
+    packaged: Callable[[int], Mapping[str, Mapping[str, float]]]
+    names: frozenset[str]
+    part: str
+
+
+def _worn(since: int, most: float) -> float:
+    return 1.0 + most * min(since + 1, WEAR_SESSIONS) / WEAR_SESSIONS
+
+
+FRICTION: Final = frozenset({"cable_friction", "fabric_friction", "cable_bend", "load_dependent_friction",
+                             "fabric_wrap", "viscous_friction"})
+MU1: Final = 0.08
+"""Cable friction of the packaged plant at its middle."""
+CHANGES: Final[Mapping[str, ChangeCase]] = {
+    "START gain +4 %": ChangeCase(
+        lambda b, k: replaced(b, start_gain=1.04 * b.start_gain), lambda k: {"start_gain": {"start_gain": 1.04}},
+        frozenset({"start_gain"}), "elasticity and gains"),
+    "stiffness -12 %": ChangeCase(
+        lambda b, k: replaced(b, stiffness=0.88 * b.stiffness), lambda k: {"stiffness": {"stiffness_scale": 0.88}},
+        frozenset({"stiffness"}), "elasticity and gains"),
+    "friction +30 %": ChangeCase(
+        lambda b, k: replaced(b, mu1=1.3 * b.mu1), lambda k: {"cable_friction": {"mu1": 1.3 * MU1}},
+        FRICTION, "friction path"),
+    "backlash 26 mrad": ChangeCase(
+        lambda b, k: replaced(b, play=b.play + 0.026), lambda k: {"knee_backlash": {"knee_backlash": 0.026}},
+        frozenset({"knee_backlash"}), "geometry"),
+    "wear +30 % over 8": ChangeCase(
+        lambda b, k: replaced(b, mu1=_worn(k, 0.3) * b.mu1), lambda k: {"cable_friction": {"mu1": _worn(k, 0.3) * MU1}},
+        FRICTION, "friction path"),
+}
+
+
+@cache
+def _motion(kind: str, serial: int) -> imposed.Motion:
+    return imposed.gait(draws.draw(serial, implementation=kind), PEAK_N, PERIOD_S, CYCLES)
+
+
+def record(folder: Path, kind: str, serial: int, session: int, change: str | None = None) -> Path:
+    """Record one session of a bench and return its file; a file that is there already is not recorded again."""
+    changed = change is not None and session >= BEGINS
+    name = "healthy" if not changed else "".join(c if c.isalnum() else "_" for c in str(change))
+    path = folder / f"{kind}-{serial}-{name}-{session}{'.mcap' if kind == PACKAGED else '.csv'}"
+    if path.exists():
+        return path
+    folder.mkdir(parents=True, exist_ok=True)
+    case = CHANGES[change] if changed and change is not None else None
+    if kind == PACKAGED:
+        _run(path, serial, session, {} if case is None else case.packaged(session - BEGINS))
+        return path
+    rng = np.random.default_rng((serial, session, 17))
+    bench = like(draws.draw(serial, implementation=kind), rng)
+    bench = bench if case is None else case.family(bench, session - BEGINS)
+    columns = imposed.trial(bench, 1000 * serial + session, motion=_motion(kind, serial), noise_n=NOISE_N,
+                            rate_hz=RATE_HZ).columns
+    np.savetxt(path, np.stack(list(columns.values()), axis=1), fmt="%.8g", delimiter=",", header=",".join(columns),
+               comments="")
+    return path
+
+
+def _run(path: Path, serial: int, session: int, effects: Mapping[str, Mapping[str, float]]) -> None:
+    """Run the packaged plant's gait on the day of a session, through the wire."""
+    sections: dict[str, Any] = configuration.read(None)
+    gait = configuration.override(sections["gait"], {
+        "peak_n": ("--peak", PEAK_N), "period_s": ("--period", PERIOD_S), "cycles": ("--cycles", CYCLES),
+        "settle": ("--settle", 0)})
+    reference, sections["gait"], _ = trials.reference(gait, None, None, period_given=True, peak_given=True)
+    bus = buses.simulated(serial=serial, day=session, plant_model={"effects": dict(effects)} if effects else None)
+    result = trials.perform(trials.prepare(sections, reference, None, bus, dry_run=False), path)
+    if result["outcome"] != "completed" or not math.isfinite(result["simulated_s"]):
+        raise RuntimeError(f"{path}: {result['stop_reason']}")
+
 
 TRIALS, PER_SESSION = 100_000, 10
 
@@ -142,7 +235,6 @@ def performance() -> None:
             run()
             print(f"{name:24} {time.perf_counter() - began:7.3f} s   (goal {goal} s)")
         print(f"{'database':24} {(folder / database.FILE).stat().st_size / 1e6:7.0f} MB, {TRIALS} trials")
-    peers()
 
 
 def _trial(k: int) -> NewTrial:
@@ -170,66 +262,6 @@ def _filled(folder: Path) -> None:
         for k in range(PER_SESSION, TRIALS, PER_SESSION) if k > TRIALS - 100 * PER_SESSION))
     db.commit()
     db.close()
-
-
-def peers() -> None:
-    """Print the same three statements on SQLite and on DuckDB, one connection and one durable transaction an entry."""
-    rows = [(k, k // PER_SESSION, f"digest {k}", f"{k}.mcap", 20.0) for k in range(TRIALS)]
-    with tempfile.TemporaryDirectory() as place:
-        for name, connect in (("SQLite", _sqlite), ("DuckDB", _duckdb)):
-            try:
-                db = connect(Path(place) / name)
-            except ImportError:
-                print(f"{name}: not installed")
-                continue
-            db.execute("CREATE TABLE trial (id INTEGER PRIMARY KEY, session INTEGER, digest TEXT UNIQUE, path TEXT, "
-                       "seconds DOUBLE)")
-            db.execute("BEGIN")
-            for first in range(0, TRIALS, 1000):
-                part = rows[first:first + 1000]
-                db.execute(f"INSERT INTO trial VALUES {','.join(['(?, ?, ?, ?, ?)'] * len(part))}",
-                           [value for row in part for value in row])
-            db.execute("COMMIT")
-            db.close()
-            told = {what: _median(lambda k, what=what, connect=connect, name=name: _once(
-                connect, Path(place) / name, what, k)) for what in STATEMENTS}
-            print(f"{name:8}" + "".join(f"  {what} {1e3 * seconds:8.2f} ms" for what, seconds in told.items()))
-
-
-STATEMENTS = {
-    "open and add": "INSERT INTO trial VALUES (?, 1, ?, 'x', 20.0)",
-    "open and list": "SELECT * FROM trial ORDER BY id DESC LIMIT 20",
-    "open and sum by session": "SELECT session, count(*), sum(seconds) FROM trial GROUP BY session ORDER BY session",
-}
-
-
-def _once(connect: Callable[[Path], Any], path: Path, what: str, k: int) -> None:
-    db = connect(path)
-    given = [2 * TRIALS + k, f"new {k}"] if "add" in what else []
-    db.execute(STATEMENTS[what], given).fetchall()
-    db.close()
-
-
-def _median(run: Callable[[int], None]) -> float:
-    found = []
-    for k in range(15):
-        began = time.perf_counter()
-        run(k)
-        found.append(time.perf_counter() - began)
-    return float(np.median(found))
-
-
-def _sqlite(path: Path) -> Any:
-    db = sqlite3.connect(path, isolation_level=None)
-    db.execute("PRAGMA journal_mode = WAL")
-    db.execute("PRAGMA synchronous = FULL")
-    return db
-
-
-def _duckdb(path: Path) -> Any:
-    import duckdb  # type: ignore[import-not-found]
-
-    return duckdb.connect(str(path))
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
-"""Cost of each operation as a paired ratio, in one table: docs/performance.md.
+"""Table of docs/performance.md: processor time of an operation here and of the usual library, and their ratio.
 
     python -m benchmarks.performance                     # `make bench`: prints the table and writes it into the page
     python -m benchmarks.performance --rows cycle pdo    # these rows alone, printed
 
-Own work and its peer run in two processes that pass a token (`benchmarks.frame`): a busy machine strikes both.  Each
-row gives the medians of both in processor time and the ratio with its quartiles.  What has no peer to run beside is
-printed as it is.  Nothing here is a test: a machine's speed fails no build.
+The two are measured in turns, in two processes (`benchmarks.frame`), so that a busy machine slows both alike.  Rows
+without a library to compare with have one figure.  No figure fails a build.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import performance_rows, performance_whole
+from benchmarks import performance_rows
 from benchmarks.frame import DOCS, ROOT, Row, put, quartiles
 
 PAGE = DOCS / "performance.md"
@@ -86,8 +85,8 @@ ROWS: dict[str, Callable[[], Iterator[Row]]] = {
     "cycle": performance_rows.whole_cycle, "events": performance_rows.event_by_event,
     "nodes": performance_rows.by_nodes, "pdo": performance_rows.pdos, "load": performance_rows.wire_load,
     "record": performance_rows.record, "read": performance_rows.read,
-    "size": performance_rows.size, "plant": performance_whole.plant, "diagnosis": performance_whole.diagnosis,
-    "processes": performance_whole.processes, "start": start, "memory": memory,
+    "size": performance_rows.size, "plant": performance_rows.plant, "diagnosis": performance_rows.diagnosis,
+    "processes": performance_rows.processes, "start": start, "memory": memory,
 }
 
 

@@ -35,9 +35,11 @@ SESSIONS = ("rerun1", "reconnected3", "rerun3", "reconnected2")
 
 
 class RigCase(NamedTuple):
-    """A case: kind, reference files, name, files of its trials, and what is computed into each of them.
+    """Recordings of a rig before and after a change that is known.
 
-    `cause`: names of which one must be in the set (none: nothing has changed).  `allowed`: names that may be beside it.
+    `kind`: sort of the change; `reference`, `files`: recordings before and after it; `change`: applied to each of
+    `files`; `cause`: effects of which the diagnosis must name one (empty: nothing has changed); `allowed`: effects that
+    it may name too.
     """
 
     kind: str
@@ -50,7 +52,7 @@ class RigCase(NamedTuple):
 
     @property
     def trials(self) -> tuple[Table, ...]:
-        """Recordings with the change in them, read anew."""
+        """Recordings after the change, read from their files."""
         return tuple(self.change(read(path)) for path in self.files)
 
 

@@ -1,9 +1,9 @@
 """Bounds against a servo stage that conducts by itself: `python -m benchmarks.shorted_stage [--page]`.
 
-A step of torque into the rope ends, without friction, at 2 τ/r − F: drum and rotor bring once more what the standing
-rope would bear beyond the tension F that it had.  Printed beside what the matrix's plant reaches, for each torque that
-a current limit or a slip clutch leaves, and for each time after which STO takes 4 N·m away.  `--page` writes the
-tables into docs/safety.md and docs/safety_monitor.md.
+A step of the torque to τ stretches the rope, without friction, to a tension of 2 τ/r − F: r is the radius of the drum,
+F the tension before the step.  The first table has this bound and the simulated tension for each torque that a current
+limit or a slip clutch permits, the second the simulated tension for each time until STO removes 4 N·m.  `--page` writes
+the tables into docs/safety.md and docs/safety_monitor.md.
 """
 
 from __future__ import annotations

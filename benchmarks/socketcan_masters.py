@@ -1,7 +1,6 @@
-"""Masters that do the same exchange with the same bench, and what the bus shows of each.
+"""CANopen masters that run the same cycle with the same bench, and timing figures of each from the frames on the bus.
 
-The rule of this file: a master is a function that runs so many cycles and tells its processor time in them; what the
-bus can tell is read off the bus.
+A master is a function that runs a number of cycles and returns the processor time of one.
 """
 
 from __future__ import annotations
@@ -93,7 +92,7 @@ def ours(
 
 
 def _cycle(link: Link, log: Log, network: Network, perform: Callable[[Exchange], None]) -> None:
-    """The cycle alone, as `run_safely` runs it between bring-up and end."""
+    """Run the cycle of `run_safely` without bring-up and safe end."""
     described = wire(network)
     guard = Guard(link, described, log, Limits(), network.heartbeat_timeout_ms * 1_000_000)
     budget = bus_load.refuse(described).deadline_ns - bus_load.frame_bits(0) * bus_load.bit_ns(described)
@@ -184,7 +183,7 @@ MASTERS: tuple[tuple[str, Master], ...] = (
 
 
 def answering(channel: str) -> int:
-    """In place of a bench: heartbeats, and four TPDOs for every SYNC, until there are none for a while."""
+    """Answer each SYNC with four TPDOs, and send heartbeats, in place of a bench; end 0.5 s after the last SYNC."""
     plans = wire(Network()).tpdo
     frames = [can.Message(arbitration_id=cob_id, data=plan.pack_si(*(0.0,) * len(plan.fields)), is_extended_id=False)
               for cob_id, plan in plans.items()]
@@ -202,7 +201,7 @@ def answering(channel: str) -> int:
 
 @contextmanager
 def peer(folder: Path, channel: str, rate_hz: int, *, served: bool) -> Iterator[None]:
-    """Whoever answers the master: `bowden bench`, or four TPDOs."""
+    """Run the answering side: `bowden bench` if `served`, else four TPDOs for each SYNC."""
     if served:
         with rig.bench(folder, channel, "--rate", rate_hz):
             yield
@@ -213,13 +212,13 @@ def peer(folder: Path, channel: str, rate_hz: int, *, served: bool) -> Iterator[
 
 
 def watched(tap: KernelBus, process: rig.Process) -> tuple[rig.Told, list[tuple[int, int]]]:
-    """Wait until a master has ended, then take every frame: who looks earlier takes the processor from the cycle."""
+    """Wait until a master has ended, then read every frame; reading earlier would cost the cycle processor time."""
     told = process.wait()
     return told, [(each.time_ns, each.arbitration_id) for each in iter(lambda: tap.recv(0), None)]
 
 
 def shown(rows: list[tuple[int, int]], rate_hz: int) -> dict[str, Any]:
-    """What frames show of the cycle; `EDGE` cycles at either end are left out."""
+    """Return rate, missed cycles and delays after SYNC from recorded frames, without `EDGE` cycles at either end."""
     times = {can_id: np.array([row[0] for row in rows if row[1] == can_id], dtype=np.int64)
              for can_id in (SYNC_COB_ID, TARGETS_COB_ID, *(TPDO_BASE + node for node in FILES))}
     sync = times[SYNC_COB_ID][EDGE:-EDGE]
@@ -247,7 +246,7 @@ def _middle_and_worst(times_ns: np.ndarray[Any, Any]) -> list[float | None]:
 
 
 def measured(master_on: str, nodes_on: str, rate_hz: int, served: bool, cycles: int) -> Iterator[dict[str, Any]]:
-    """Every master on one wiring at one rate."""
+    """Yield the timing and processor time of each master on one wiring at one rate."""
     rig.rehearse()
     for name, master in MASTERS:
         with tempfile.TemporaryDirectory() as at:
@@ -265,14 +264,14 @@ def measured(master_on: str, nodes_on: str, rate_hz: int, served: bool, cycles: 
 
 
 def tell(run: Callable[[], object]) -> int:
-    """Run a master and print what it tells, its processor time or more, as JSON."""
+    """Run a master and print its result as JSON."""
     told = run()
     print(json.dumps(told if isinstance(told, dict) else {"cpu_s": told}))
     return 0
 
 
 def carried(rates_hz: Sequence[int], cycles: int) -> Iterator[dict[str, Any]]:
-    """Our master with `bowden bench` on the same processor, at each rate; why it stopped, where it did."""
+    """Yield the timing of our master with `bowden bench` on one processor at each rate, or why it stopped."""
     rig.rehearse()
     for rate_hz in rates_hz:
         with tempfile.TemporaryDirectory() as at:

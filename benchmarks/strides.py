@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import family_walks, frame
+from benchmarks import family, frame
 from benchmarks.frame import OUT, ROOT, markdown
 from physics.calibration import write
 from physics.laws import desired_force
@@ -41,7 +41,7 @@ MIGRATION_MM, WALK_S = 5.0, 85.0
 WALKS: tuple[dict[str, Any], ...] = tuple(
     {"kind": kind, "serial": serial, "seed": 1000 + i, "migration_mm": MIGRATION_MM if i % 4 < 2 else -MIGRATION_MM}
     for i, (kind, serial) in enumerate([
-        bench for k in range(20) for bench in (("own", family_walks.OWN[k % 3]), ("family", 2 * k))]))
+        bench for k in range(20) for bench in (("own", family.OWN[k % 3]), ("family", 2 * k))]))
 """Walks of the page: kind and serial of a bench, seed of the walk and of the noise, migration, mm."""
 MOVES_HZ = 0.001
 """Frequency of the sine by whose beginning the own plant's zero moves, Hz: nearly a straight line in a walk."""
@@ -78,8 +78,8 @@ def strides_of(directory: Path, path: Path) -> Path:
 def calibration(kind: str, serial: int) -> Path:
     """Return the file of a bench's calibration, which docs/unseen.csv has of day 0."""
     kept = OUT / f"strides-{kind}-{serial}.toml"
-    known = family_walks.read(ROOT / "docs" / "unseen.csv")[kind, serial]
-    kept.write_text(write(family_walks.calibration_of(known)), encoding="utf-8")
+    known = family.read(ROOT / "docs" / "unseen.csv")[kind, serial]
+    kept.write_text(write(family.calibration_of(known)), encoding="utf-8")
     return kept
 
 
@@ -108,7 +108,7 @@ def walked(walk: Mapping[str, Any], knee: Path) -> dict[str, Any]:
     from bowden.sweep.rows import plant_model
 
     kind, serial, mm = walk["kind"], walk["serial"], walk["migration_mm"]
-    row = family_walks.bench_row(kind, serial, 1)
+    row = family.bench_row(kind, serial, 1)
     model, plant = plant_model(row), str(row["bench.plant"])
     if kind == "family":
         plant += f"_{'up' if mm > 0.0 else 'down'}_{round(1e3 * abs(mm) / WALK_S)}"

@@ -6,7 +6,8 @@ of `tests/hidden`, a quarter on the family of `tests/plants`.  It prints how man
 near to its tolerance each relation came.  All start from the packaged calibration, which is another bench's.  One that
 homing refuses before it moves, or that is stopped, is identified and run again, and counts by that second trial.  The
 numbers of those that were stopped are printed.  `--kept FILE` keeps each trial as a line of JSON: trials that are in it
-are not run again, and an interrupted run goes on.
+are not run again, and an interrupted run goes on.  `--page` writes the table of the checks into docs/safety.md,
+with the largest share of each bound from docs/healthy.csv (`make healthy`).
 
 Two bounds of the false-alarm rate are printed, each the upper end of a 95 % interval: by count (no model; a run without
 an alarm shows 3.0 by its hours), and by the tail of the greatest share of a tolerance that each trial reached (a Pareto
@@ -16,6 +17,7 @@ law through the upper tenth, Hill's estimate of its exponent).
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import math
 import multiprocessing
@@ -28,6 +30,38 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from benchmarks.frame import DOCS, put
+from bowden.bench import buses
+from bowden.models import identification
+from eds.bench.bench_network import Network
+from master import settings
+from master.cycle import exchange, plausibility, repetition
+from master.cycle.safety import Reaction
+from master.motion import experiment_run
+from master.motion.checks import CHECKS
+from master.network.link import Link
+from physics.calibration import nominal
+from physics.reference import paper_reference
+from tests.plants import stack
+from virtual_bus.bus import BowdenBus
+
+SHORT = {Reaction.UNWIND: "unwind", Reaction.RELEASE: "servo off", Reaction.RELEASE_BOTH: "both off",
+         Reaction.ABANDON: "0x6007"}
+"""Words of a reaction in the table."""
+
+
+def table() -> str:
+    """Return the lines of the table."""
+    with (DOCS / "healthy.csv").open(encoding="utf-8", newline="") as file:
+        rows = {row["check"]: row for row in csv.DictReader(file)}
+    trials = max(row["trials"] for row in rows.values())
+    lines = [f"| check | signals | bound | bound from | reaction | most of {trials} healthy trials | test |",
+             "|---|---|---|---|---|---|---|"]
+    lines += [f"| {check.name} | {check.signals} | {check.bound} | {check.source} | {SHORT[check.reaction]} | "
+              f"{rows[check.healthy]['share'] if check.healthy else '–'} | `{check.test}` |" for check in CHECKS]
+    return "\n".join(lines)
+
 
 PEAKS, PERIODS, CYCLES = (40.0, 60.0, 25.0, 75.0), (1.1, 2.0, 0.8, 3.0), 4
 FAMILY_PEAKS = (40.0, 50.0, 25.0)
@@ -89,8 +123,6 @@ def jobs(count: int, cycles: int) -> Iterator[Job]:
 
 def family(place: int, day: int | None = None) -> dict[str, Any]:
     """Return the bus options of a bench of the family, of those serials that are not set aside."""
-    from tests.plants import stack
-
     serial = place // 2 * 3 + place % 2
     return {"serial": 0, "plant": stack.plant_name(serial, place % DAYS if day is None else day),
             "plant_model": stack.plant_model(serial)}
@@ -98,11 +130,6 @@ def family(place: int, day: int | None = None) -> dict[str, Any]:
 
 def identified(job: Job) -> Any:
     """Identify the job's bench on its day 0 and return the calibration."""
-    from bowden.bench import buses
-    from bowden.models import identification
-    from eds.bench.bench_network import Network
-    from master import settings
-
     bench = job.bench | (family(job.number // 4, 0) if job.number % 4 == 3 else {"day": 0})
     sections = {"network": Network(), "limits": settings.Limits(), "homing": settings.Homing()}
     chosen = buses.simulated(bench["serial"], bench.get("day", 0), job.number,
@@ -121,8 +148,6 @@ class StoppedError(Exception):
 
 def ran(job: Job) -> Ended:
     """Run one trial; where it is refused or stopped by the packaged calibration, identify and run again."""
-    from physics.calibration import nominal
-
     ended = walked(job, nominal())
     if ended.reason is None:
         return ended
@@ -134,14 +159,6 @@ def ran(job: Job) -> Ended:
 
 def walked(job: Job, calibration: Any) -> Ended:
     """Run one trial without a recorder."""
-    from eds.bench.bench_network import Network
-    from master import settings
-    from master.cycle import plausibility, repetition
-    from master.motion import experiment_run
-    from master.network.link import Link
-    from physics.reference import paper_reference
-    from virtual_bus.bus import BowdenBus
-
     worst, limits = np.zeros(len(NAMES)), settings.Limits()
 
     class Watched(plausibility.Plausibility):
@@ -150,8 +167,6 @@ def walked(job: Job, calibration: Any) -> Ended:
             ratios = self.s[plausibility.RATIOS:plausibility.RATIOS + plausibility.RELATIONS]
             np.maximum(worst, [*np.abs(ratios), given[5] / limits.start_n, given[6] / limits.end_n], out=worst)
             return found
-
-    from master.cycle import exchange
 
     exchange.Plausibility = Watched  # type: ignore[misc]
     watches = []
@@ -179,8 +194,6 @@ def walked(job: Job, calibration: Any) -> Ended:
 
 def cost() -> None:
     """Print the time of one cycle's checks."""
-    from master.cycle import plausibility
-
     plausibility.prepare()
     checked = plausibility.Plausibility(1e-3)
     checked.begin_learning(0.04, -0.5, 3.7e-5)
@@ -286,7 +299,11 @@ def main() -> int:
     asked.add_argument("--kept", type=Path)
     asked.add_argument("--table", type=Path, help="table file of the largest share of each check")
     asked.add_argument("--jobs", type=int, default=2)
+    asked.add_argument("--page", action="store_true", help="write the table of the checks into docs/safety.md")
     given = asked.parse_args()
+    if given.page:
+        put(DOCS / "safety.md", "checks", table())
+        return 0
     if given.cost or not given.healthy:
         cost()
     return int(bool(given.healthy and healthy(

@@ -103,7 +103,7 @@ def with_monitor(network: Any, option: str | None) -> Any:
 
 
 def _apart(limits: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the limits of the whole bench, and the tables of single devices, joints and force paths."""
+    """Split `[limits]`: values of the whole bench, and its sub-tables by the name of a device, joint or force path."""
     own = {name: content for name, content in limits.items() if isinstance(content, dict)}
     return {name: value for name, value in limits.items() if name not in own}, own
 
@@ -212,9 +212,9 @@ def _quoted(text: str) -> str:
 
 
 def as_template(told: Mapping[str, str] | None = None, shape: str = "bench") -> str:
-    """Return a commented bench.toml with every default, unit, range and source, and the packaged declaration `shape`.
+    """Return the text of a bench.toml: every key with default, unit, range and source, and the devices of `shape`.
 
-    `told` fills `[record]`. Raises `InputError` for a shape without commands.
+    `told`: values of the section `[record]`.  Raises `InputError` for a shape that is not packaged.
     """
     from eds.declaration import SHAPES, text_of
 

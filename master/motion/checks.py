@@ -1,7 +1,7 @@
 """Table of the checks that can stop a motion: signals, bound and its source, reaction, test.
 
 Each bound is read from the constant or setting that decides, so that the table cannot differ from the checks.
-`docs/safety.md` prints it with the largest value of healthy trials (`python -m benchmarks.checks --page`).
+`docs/safety.md` prints it with the largest value of healthy trials (`python -m benchmarks.supervision --page`).
 """
 
 from __future__ import annotations

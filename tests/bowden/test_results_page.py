@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import reproduce, results_page
-from benchmarks.results_page import CONTROLLERS, PEAKS_N, PERIODS_S, Result
+from benchmarks import reproduce
+from benchmarks.reproduce import CONTROLLERS, PEAKS_N, PERIODS_S, Result
 from physics.plant.bench_plant import NOMINAL
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -36,15 +36,15 @@ def good() -> list[Result]:
 
 
 def verdicts(results: Iterable[Result]) -> list[bool]:
-    return [target.met for target in results_page.targets(list(results))]
+    return [target.met for target in reproduce.targets(list(results))]
 
 
 def test_medians_and_worst_are_of_the_benches_of_a_cell() -> None:
-    targets = results_page.targets(good())
+    targets = reproduce.targets(good())
     assert [target.found for target in targets] == pytest.approx([0.3, 0.3, 0.5, 0.2, 0.2, 0.75, 1.2, 0])
     assert all(verdicts(good()))
     assert "| 2 | 40 | 2.53 | 5.00 / 7.00 | 5.00 / 7.00 | 5.00 / 7.00 | 5.00 / 7.00 | 0.30 / 0.50 |" in (
-        results_page.page(good()))
+        reproduce.page(good()))
 
 
 @pytest.mark.parametrize(("row", "change", "missed"), [
@@ -59,7 +59,7 @@ def test_a_target_that_is_missed_is_said_to_be(row: object, change: dict[str, fl
     changed = [r._replace(**change) if r.experiment == "grid" and r.controller == "extended" and row(r) else r  # type: ignore[arg-type]
                for r in good()]
     assert {i for i, met in enumerate(verdicts(changed)) if not met} == missed
-    assert "**not met**" in results_page.page(changed)
+    assert "**not met**" in reproduce.page(changed)
 
 
 def test_a_trial_that_stopped_counts_against_every_target_it_is_in() -> None:
@@ -67,7 +67,7 @@ def test_a_trial_that_stopped_counts_against_every_target_it_is_in() -> None:
                if (r.controller, r.serial, r.peak_n) == ("extended", 5, 40.0) and r.experiment == "grid" else r
                for r in good()]
     assert verdicts(stopped) == [True, True, False, False, False, False, True, True]
-    assert "0.30 / stopped" in results_page.page(stopped)
+    assert "0.30 / stopped" in reproduce.page(stopped)
     delayed = [r._replace(outcome="stopped") if r.case == "delay" else r for r in good()]
     assert verdicts(delayed)[-1] is False
 
@@ -77,7 +77,7 @@ def test_missing_rows_meet_no_target() -> None:
 
 
 def test_the_plant_of_the_page_keeps_the_nominal_friction() -> None:
-    text = results_page.plant()
+    text = reproduce.plant()
     exponent = float(text.split("together ")[1].split(";")[0])
     assert 0.20 <= exponent <= 0.25
     assert f"{NOMINAL.supply_v:g} V" in text
@@ -94,11 +94,11 @@ def test_every_wanted_row_is_another_trial_on_day_one_or_as_its_case_says() -> N
 
 
 def test_the_benches_that_jump_are_those_whose_sources_are_told_apart() -> None:
-    found = results_page.grid(results_page.read(DOCS / "results.csv"), "extended", 40.0, 1.1)
-    above = {r.serial for r in found if results_page.jump(r) > results_page.JUMP_BOUND}
+    found = reproduce.grid(reproduce.read(DOCS / "results.csv"), "extended", 40.0, 1.1)
+    above = {r.serial for r in found if reproduce.jump(r) > reproduce.JUMP_BOUND}
     assert above <= set(reproduce.JUMPING)
 
 
 def test_the_page_in_the_docs_is_what_its_table_says() -> None:
-    text = results_page.page(results_page.read(DOCS / "results.csv"))
+    text = reproduce.page(reproduce.read(DOCS / "results.csv"))
     assert (DOCS / "results.md").read_text(encoding="utf-8") == text

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import family_page, family_walks
+from benchmarks import family
 from physics import calibration
 from tests.plants.draws import set_aside
 
@@ -14,28 +14,28 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_the_page_in_the_docs_is_what_its_table_says() -> None:
-    text = family_page.page(list(family_walks.read(DOCS / "unseen.csv").values()))
+    text = family.page(list(family.read(DOCS / "unseen.csv").values()))
     assert (DOCS / "unseen.md").read_text(encoding="utf-8") == text
 
 
 def test_nothing_is_developed_on_a_serial_that_is_set_aside() -> None:
-    assert not any(map(set_aside, family_walks.DEVELOPMENT))
-    assert all(map(set_aside, family_walks.SET_ASIDE))
-    assert len(family_walks.SET_ASIDE) + len(family_walks.DEVELOPMENT) >= 40
+    assert not any(map(set_aside, family.DEVELOPMENT))
+    assert all(map(set_aside, family.SET_ASIDE))
+    assert len(family.SET_ASIDE) + len(family.DEVELOPMENT) >= 40
 
 
 def test_the_loaded_part_leaves_out_what_end_is_at_idle() -> None:
     """Three quarters of the squares at idle: of a whole RMSE of 2 % one is loaded; of another's √7 % it is 2 %."""
-    walk = {family_walks.TRUE: 2.0, family_walks.WINDOW: (1.0 / family_page.LOADED) ** 0.5, "paper": 7.0**0.5}
-    assert family_page.loaded(walk) == 1.0
-    assert abs(family_page.loaded(walk, "paper") - 2.0) < 1e-12
+    walk = {family.TRUE: 2.0, family.WINDOW: (1.0 / family.LOADED) ** 0.5, "paper": 7.0**0.5}
+    assert family.loaded(walk) == 1.0
+    assert abs(family.loaded(walk, "paper") - 2.0) < 1e-12
 
 
 def test_a_calibration_of_the_table_has_the_evidence_of_its_scalars() -> None:
     """Without it homing takes START's lag for unmeasured, and corrects it by what the sensor declares."""
-    for row in family_walks.read(DOCS / "unseen.csv").values():
-        read_back = family_walks.calibration_of(row)
-        scalars = family_walks._scalars(calibration.write(read_back))
+    for row in family.read(DOCS / "unseen.csv").values():
+        read_back = family.calibration_of(row)
+        scalars = family._scalars(calibration.write(read_back))
         lag, told = read_back.evidence["start_lag"], row["calibration"]["start_lag"]
         assert [lag.low, lag.high] == told["interval"]
         assert {name: scalars[name]["interval"] for name in row["calibration"]} == {
@@ -43,12 +43,12 @@ def test_a_calibration_of_the_table_has_the_evidence_of_its_scalars() -> None:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("period_s", family_walks.PERIODS_S)
+@pytest.mark.parametrize("period_s", family.PERIODS_S)
 def test_a_bench_whose_start_lags_more_than_declared_is_walked_by_its_row(period_s: float) -> None:
     """Serial 20: START lags by 2.7 ms, its sensor declares 0.5 ms."""
-    row = family_walks.read(DOCS / "unseen.csv")["family", 20]
-    walk = family_walks.walked("family", 20, calibration.write(family_walks.calibration_of(row)), "extended",
-                                family_walks.CYCLES, family_walks.SETTLE,
+    row = family.read(DOCS / "unseen.csv")["family", 20]
+    walk = family.walked("family", 20, calibration.write(family.calibration_of(row)), "extended",
+                                family.CYCLES, family.SETTLE,
                                 {"gait.peak_n": row["peak_n"], "gait.period_s": period_s})
     assert walk["outcome"] == "completed", walk
-    assert walk[family_walks.TRUE] < 2.0
+    assert walk[family.TRUE] < 2.0

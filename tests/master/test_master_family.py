@@ -64,7 +64,7 @@ def test_a_bench_that_is_refused_the_packaged_calibration_can_be_identified(comp
 @pytest.mark.exhaustive
 def test_a_stretch_that_bends_less_beyond_homings_tension_is_no_finding() -> None:
     """Serial 28: up to homing's tension it bends so much that a parabola through it is flat there."""
-    from benchmarks.family_walks import bench_row
+    from benchmarks.family import bench_row
     from bowden.sweep import row_trial
 
     reason, _text = row_trial.identify(row_trial.bench_of(bench_row("family", 28, 0)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from benchmarks import checks
+from benchmarks import supervision
 from benchmarks.supervision import COMPARED, NAMES
 from master.cycle.safety import Condition
 from master.motion.checks import CHECKS
@@ -22,7 +22,7 @@ def test_every_claim_names_a_test_that_exists() -> None:
 
 
 def test_the_page_prints_the_table_of_checks() -> None:
-    assert checks.table() in (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+    assert supervision.table() in (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
 
 
 def test_every_condition_and_every_measured_share_belongs_to_a_check() -> None:

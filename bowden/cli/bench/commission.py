@@ -106,9 +106,9 @@ class _Bench:
         self.chosen, self.path = reached.chosen(), path
 
     def place(self, name: str) -> str:
-        """Return what a declared device is on its force path: servo, knee, start or end; other names as they are.
+        """Return the role of a declared device on its force path: servo, knee, start or end; else the name itself.
 
-        A name of the only path that has the device chooses the path, too.
+        If one path alone has the device, that path is chosen.
         """
         bench = self.sections["network"].bench
         joints = {joint.name: joint.driven_by for joint in bench.joints}
