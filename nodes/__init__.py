@@ -9,6 +9,7 @@ profiles.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from nodes.core.application import ProfileHost
 from nodes.core.device import Application, Device
 from nodes.drives.generic_drive import GenericDrive
 from nodes.io_module import IoModule
@@ -30,7 +31,7 @@ _HOMES = {
 """Names whose modules are compiled, and so are imported when they are first used."""
 
 __all__ = ["APPLICATIONS", "Application", "Device", "Drive", "GenericDrive", "IoModule", "JointEncoder", "KneeDrive",
-           "ServoDrive", "TensionSensor", "build", "prepare"]
+           "ProfileHost", "ServoDrive", "TensionSensor", "build", "prepare"]
 
 
 def __getattr__(name: str) -> Any:

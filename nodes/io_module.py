@@ -8,8 +8,7 @@ from typing import Final
 
 from eds.cia301 import Emcy, NmtState
 from eds.datatype import Value
-from nodes.core.application import Application
-from nodes.core.interfaces import ProfileHost
+from nodes.core.application import Application, ProfileHost
 
 DIGITAL: Final = (0x6200, 0x6000)
 ANALOGUE: Final = (0x6411, 0x6401)

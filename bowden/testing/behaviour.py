@@ -12,8 +12,7 @@ from typing import Any
 
 from eds.cia301 import Emcy, NmtState
 from eds.datatype import Value
-from nodes import Application
-from nodes.core.interfaces import ProfileHost
+from nodes import Application, ProfileHost
 
 Table = Mapping[tuple[Hashable, int, Value | None], tuple[Hashable, Mapping[int, Value]]]
 """(state, key, value written or None for any) → (next state, {key: value to set})."""

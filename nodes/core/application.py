@@ -1,11 +1,39 @@
-"""Interface between a device profile and the device core.
+"""Interface between a device profile and the device core, which the profiles of plug-ins use as well.
 
-Every method is optional and does nothing here; the core calls them, the profile decides.
+Every method of `Application` is optional and does nothing here; the core calls them, the profile decides.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
 
 from eds.cia301 import Emcy, NmtState
 from eds.datatype import Value
-from nodes.core.interfaces import ProfileHost
+from nodes.core.objects import Objects
+
+if TYPE_CHECKING:
+    from nodes.core.nmt import HeartbeatConsumer
+
+class ProfileHost(Protocol):
+    """A `device.Device` as its profile sees it: `values` are the present values of `objects` by key.
+
+    `now_ns` is the time of the device's last call. `emergency` reports an error once while it lasts, `recover` its end.
+    """
+
+    now_ns: int
+
+    @property
+    def objects(self) -> Objects: ...
+
+    @property
+    def values(self) -> dict[int, Value]: ...
+
+    @property
+    def consumer(self) -> HeartbeatConsumer: ...
+
+    def emergency(self, code: int, register: int, vendor: bytes = b"") -> None: ...
+
+    def recover(self, code: int) -> None: ...
 
 
 class Application:

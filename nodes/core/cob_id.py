@@ -4,9 +4,14 @@ The rule of this file: an identifier changes only while its object does not exis
 reserves or that this device already uses.
 """
 
-from typing import Final
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
 
 from eds.cia301 import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, Abort
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
 
 CAN_ID: Final = 0x7FF
 INVALID: Final = COB_ID_INVALID
@@ -29,20 +34,23 @@ def exists(cob_id: int) -> bool:
     return not cob_id & COB_ID_INVALID
 
 
-def check(old: int, new: int) -> Abort | None:
-    """Return the abort for changing an EMCY or PDO COB-ID from `old` to `new`, else None."""
+def check(device: Device, at: int, new: int) -> Abort | None:
+    """Return the abort for writing `new` to the EMCY or PDO COB-ID at key `at`, else None."""
+    old = device.objects.number(at)
     if new & (COB_ID_EXTENDED | _EXTENDED_BITS):
         return Abort.INVALID_VALUE
     if not exists(new):
         return None
     if restricted(new & CAN_ID) or (exists(old) and (old ^ new) & _IDENTITY):
         return Abort.INVALID_VALUE
-    return None
+    return Abort.INCOMPATIBLE if device.taken(at, new & CAN_ID) else None
 
 
-def check_sync(old: int, new: int) -> Abort | None:
-    """Return the abort for changing 0x1005; bit 30 set makes the device the SYNC producer."""
+def check_sync(device: Device, at: int, new: int) -> Abort | None:
+    """Return the abort for writing `new` to 0x1005 at key `at`; bit 30 set makes the device the SYNC producer."""
     if new & (COB_ID_EXTENDED | _EXTENDED_BITS) or restricted(new & CAN_ID):
         return Abort.INVALID_VALUE
-    making = old & new & COB_ID_NO_RTR
-    return Abort.INVALID_VALUE if making and (old ^ new) & _IDENTITY else None
+    old = device.objects.number(at)
+    if old & new & COB_ID_NO_RTR and (old ^ new) & _IDENTITY:
+        return Abort.INVALID_VALUE
+    return Abort.INCOMPATIBLE if device.taken(at, new & CAN_ID) else None

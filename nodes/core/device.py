@@ -13,14 +13,12 @@ from eds.datatype import Value
 from eds.dictionary import Dictionary, read
 from nodes.core.application import Application
 from nodes.core.emergency import Emergency
-from nodes.core.guarding import Guarding
-from nodes.core.heartbeat import Consumer, Producer
 from nodes.core.lss_slave import LssSlave
-from nodes.core.nmt import Nmt
+from nodes.core.nmt import Guarding, HeartbeatConsumer, HeartbeatProducer, Nmt
 from nodes.core.objects import Objects, outside
 from nodes.core.parts import FAR_NS, Applied, Check, Command, Handler, Part
-from nodes.core.pdo.pdos import Pdos
-from nodes.core.sdo.sdo_server import SdoServer
+from nodes.core.pdos import Pdos
+from nodes.core.sdo_server import SdoServer
 from nodes.core.store import Store
 from nodes.core.sync import Sync
 from parameters import InputError
@@ -67,8 +65,8 @@ class Device:
         self.store = Store(self, store)
         self.sync = Sync(self)
         self.pdos = Pdos(self)
-        self.consumer = Consumer(self)
-        self.producer = Producer(self)
+        self.consumer = HeartbeatConsumer(self)
+        self.producer = HeartbeatProducer(self)
         self.guarding = Guarding(self)
         self.sdo = SdoServer(self)
         self.lss = LssSlave(self, store)

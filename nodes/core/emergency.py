@@ -40,7 +40,7 @@ class Emergency(Part):
         self._pending: deque[bytes] = deque(maxlen=QUEUE)
         self._free_ns = 0
         self._depth = sum(1 for sub in range(1, 255) if key(HISTORY, sub) in device.objects.entries)
-        self.checks = {HISTORY: _check_history, COB_ID: self._check_cob_id}
+        self.checks = {HISTORY: _check_history, COB_ID: lambda _, value: cob_id.check(device, key(COB_ID), int(value))}
         self.applied = {HISTORY: lambda _sub, _value, _now: self._forget()}
 
     @property
@@ -136,13 +136,6 @@ class Emergency(Part):
             values.pop(key(HISTORY, sub), None)
         if self._depth:
             values[key(HISTORY)] = 0
-
-    def _check_cob_id(self, _subindex: int, value: Value) -> Abort | None:
-        new = int(value)
-        refusal = cob_id.check(self._device.objects.number(key(COB_ID)), new)
-        if not refusal and cob_id.exists(new) and self._device.taken(key(COB_ID), new & cob_id.CAN_ID):
-            return Abort.INCOMPATIBLE
-        return refusal
 
 
 def _check_history(_subindex: int, value: Value) -> Abort | None:

@@ -17,7 +17,7 @@ from eds.datatype import Value, encode
 from eds.dictionary import key
 from nodes.core.objects import outside
 from nodes.core.parts import Part
-from nodes.core.pdo.pdo_mapping import process_output
+from nodes.core.pdo_parameters import process_output
 
 if TYPE_CHECKING:
     from nodes.core.device import Device

@@ -37,7 +37,8 @@ class Sync(Part):
         self._fault = False
         self._counter = 0
         self._due_ns = FAR_NS
-        self.checks = {COB_ID: self._check_cob_id, PERIOD: _check_period, OVERFLOW: self._check_overflow}
+        self.checks = {COB_ID: lambda _, value: cob_id.check_sync(device, key(COB_ID), int(value)),
+                       PERIOD: _check_period, OVERFLOW: self._check_overflow}
         self.applied = dict.fromkeys((COB_ID, PERIOD, WINDOW, OVERFLOW), self._applied)
         self._configure()
 
@@ -123,13 +124,6 @@ class Sync(Part):
     def counted(self) -> bool:
         """True if SYNC frames carry a counter (0x1019)."""
         return self._overflow > 0
-
-    def _check_cob_id(self, _subindex: int, value: Value) -> Abort | None:
-        new = int(value)
-        refusal = cob_id.check_sync(self._device.objects.number(key(COB_ID)), new)
-        if not refusal and self._device.taken(key(COB_ID), new & cob_id.CAN_ID):
-            return Abort.INCOMPATIBLE
-        return refusal
 
     def _check_overflow(self, _subindex: int, value: Value) -> Abort | None:
         """Check a write to 0x1019: 0 or 2 … 240, and not while 0x1006 holds a period (CiA 301, 7.5.2.22)."""

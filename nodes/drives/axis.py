@@ -14,7 +14,6 @@ from eds import scale_factors
 from eds.datatype import Value
 from eds.dictionary import Dictionary, key
 from nodes.drives import axis_law as law
-from nodes.drives import set_point_law
 
 NO_WINDOW: Final = 0xFFFFFFFF
 """Value of 0x6065 that switches the monitoring of the following error off."""
@@ -111,7 +110,7 @@ class Axis:
 
     def target_position(self, raw: int) -> None:
         """Begin a straight line to a new position target."""
-        set_point_law.target(self.s, self.unit, self.origin, raw)
+        law.target(self.s, self.unit, self.origin, raw)
 
     def step_to(self, raw: int) -> float:
         """Return the distance, in counts, from the last target to a new one."""

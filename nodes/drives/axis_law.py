@@ -1,4 +1,4 @@
-"""One drive tick of one axis: bounds, position following, braking, tightening the rope.
+"""One drive tick of one axis: bounds, position following, braking, tightening the rope; set-points on their arrival.
 
 Compiled functions over two flat float64 arrays, `s` (state) and `g` (settings), SI at the axis (rope metres at the
 drum, or radians at the knee); the loops are those of `physics.drive_loops`. numba's cache does not see a change in an
@@ -8,7 +8,7 @@ imported module, so that module's digest is a constant of the compiled functions
 import hashlib
 import math
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -71,6 +71,25 @@ TIGHTEN_PER_N: Final = 0.002
 TIGHT_N: Final = 0.6
 """Band about the preload, four times the assumed noise of the bridge."""
 TIGHT_S: Final = 0.25
+NEWTON: Final = 0.01
+"""Newtons per count of the tension objects."""
+NO_TENSION: Final = -(1 << 15)
+"""Process value of a sensor without a valid measurement."""
+KEEPS, FOLLOWS, FEELS = range(3)
+"""Effects of a received object in addition to its stored value: none; a new target; a tension."""
+
+
+class RpdoEffect(NamedTuple):
+    """Effect of a received object on the axis.
+
+    `FOLLOWS`: a new target of `unit` (m or rad) per count from `origin`, at most `most` counts. `FEELS`: a tension of
+    at most `most` N. Larger values are processed by the drive's own code.
+    """
+
+    action: int
+    unit: float = 0.0
+    origin: float = 0.0
+    most: float = math.inf
 
 
 def arrays() -> tuple[Any, Any]:
@@ -301,3 +320,25 @@ def prepare() -> bool:
     step(s, g, 0, 0.0, 0.0)
     counts(s, g, np.zeros(COUNTS, np.int64))
     return bool(sum(step.stats.cache_misses.values()) + sum(counts.stats.cache_misses.values()))
+
+
+@njit(cache=True)
+def target(s: Any, unit: float, origin: float, raw: int) -> None:
+    """Begin the straight line to a new target, `raw` counts of `unit` (m or rad) from `origin`."""
+    s[TARGET] = raw * unit + origin
+    s[FRESH] = 1.0
+
+
+@njit(cache=True)
+def way(s: Any, unit: float, origin: float, raw: int) -> float:
+    """Return the distance from the last target to a new one, in counts."""
+    return float(abs(raw * unit + origin - s[TARGET]) / abs(unit))
+
+
+@njit(cache=True)
+def feel(s: Any, raw: int) -> float:
+    """Receive a tension, counts of `NEWTON`; return it in N."""
+    tension = NEWTON * raw
+    s[TENSION] = tension
+    s[TENSION_AGE_S] = 0.0
+    return tension

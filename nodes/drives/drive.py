@@ -1,23 +1,23 @@
-"""A CiA 402 drive behind a CANopen device: its objects, its latch, its drive tick.
+"""A CiA 402 drive behind a CANopen device: its objects and their rules, its latch, its drive tick.
 
-The rule of this file: it joins the device core to the state machine and the modes; it decides nothing itself.
+This module joins the device core to the state machine and the modes; it decides nothing itself.
 """
 
-from collections.abc import Callable
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from eds.cia301 import Emcy, NmtState
-from eds.cia402 import DriveEvent, Mode, State
+from eds.cia301 import Abort, Emcy, NmtState
+from eds.cia402 import DriveEvent, Mode, State, Stop
 from eds.datatype import Value
 from eds.dictionary import key
-from nodes.core.interfaces import ProfileHost
+from nodes.core.application import ProfileHost
 from nodes.drives import axis_law as law
-from nodes.drives import rules
 from nodes.drives.axis import Axis
-from nodes.drives.homing import Phase
-from nodes.drives.modes import MODE_DISPLAY, ModesOfOperation
-from nodes.drives.set_point_law import RpdoEffect
+from nodes.drives.axis_law import RpdoEffect
+from nodes.drives.modes import MODE_DISPLAY, ModesOfOperation, Phase
 from nodes.drives.state_machine import ERROR_CODE, RELEASE
 
 CONTROLWORD, STATUSWORD, MODE = key(0x6040), key(0x6041), key(0x6060)
@@ -27,6 +27,13 @@ POSITION, VELOCITY, TORQUE, INCREMENTS = key(0x6064), key(0x606C), key(0x6077), 
 POSITION_DEMAND, VELOCITY_DEMAND, TORQUE_DEMAND = key(0x6062), key(0x606B), key(0x6074)
 CURRENT, FOLLOWING, EFFORT = key(0x6078), key(0x60F4), key(0x60FA)
 _FIRST_PROFILE_KEY: Final = key(0x2000)
+RELEASE_SIGNATURE: Final = 0x736C6572
+"""Signature "rels", written to 0x2020: the operator's release."""
+
+_MODES: Final = frozenset(int(mode) for mode in Mode)
+_STOPS: Final = frozenset(int(stop) for stop in Stop)
+_POLARITY: Final = 0xC0
+"""Bits of 0x607E in use: position and velocity, which here are turned together."""
 
 
 class Drive(ModesOfOperation):
@@ -54,7 +61,8 @@ class Drive(ModesOfOperation):
 
     def check_write(self, key: int, value: Value) -> int:
         """Return the abort code of the object's own rule, 0 for an accepted value."""
-        return rules.refused(self, key, value)
+        rule = RULES.get(key)
+        return rule(self, int(value)) if rule is not None else 0
 
     def written(self, key: int, value: Value, now_ns: int) -> None:
         """Process a written command or set-point; every other object is a setting."""
@@ -180,3 +188,40 @@ class KneeDrive(Drive):
 
     Its 1:20 reducer is in the objects 0x6091 and 0x6092, in thousandths of a degree of the knee, not in code.
     """
+
+
+def _mode(drive: Drive, value: int) -> int:
+    supported = drive.number(0x6502)
+    known = value in _MODES and (value == Mode.NONE or supported & Mode(value).supported_bit)
+    return 0 if known else Abort.INVALID_VALUE
+
+
+def _method(drive: Drive, value: int) -> int:
+    listed = {drive.number(0x60E3, sub) for sub in range(1, drive.number(0x60E3) + 1)}
+    if value not in listed:
+        return Abort.INVALID_VALUE
+    return Abort.DEVICE_STATE if drive.seeking else 0
+
+
+def _polarity(drive: Drive, value: int) -> int:
+    if value not in (0, _POLARITY):
+        return Abort.INVALID_VALUE
+    return Abort.DEVICE_STATE if drive.state is State.OPERATION_ENABLED else 0
+
+
+def _release(drive: Drive, value: int) -> int:
+    if value != RELEASE_SIGNATURE:
+        return Abort.INVALID_VALUE
+    return Abort.DEVICE_STATE if drive.emergency_stopped else 0
+
+
+RULES: Final[Mapping[int, Callable[[Drive, int], int]]] = MappingProxyType({
+    key(0x2020): _release,
+    key(0x605A): lambda _drive, value: 0 if value in _STOPS else Abort.INVALID_VALUE,
+    key(0x6060): _mode,
+    key(0x607D, 1): lambda drive, value: Abort.MAX_BELOW_MIN if value > drive.number(0x607D, 2) else 0,
+    key(0x607D, 2): lambda drive, value: Abort.MAX_BELOW_MIN if value < drive.number(0x607D, 1) else 0,
+    key(0x607E): _polarity,
+    key(0x6098): _method,
+})
+"""Rules of objects beyond their limits in the EDS, by key: (drive, value) → 0 or an SDO abort code."""

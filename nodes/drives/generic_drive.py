@@ -12,8 +12,7 @@ from eds.cia301 import Abort, Emcy, NmtState
 from eds.cia402 import STEP, AbortConnection, Control, DriveEvent, Mode, State, Status, Stop, command_of
 from eds.datatype import Value
 from eds.dictionary import key
-from nodes.core.application import Application
-from nodes.core.interfaces import ProfileHost
+from nodes.core.application import Application, ProfileHost
 
 STEP_NS: Final = 1_000_000
 """Time step of a motion: shorter than the SYNC period of most masters."""

@@ -1,20 +1,50 @@
 """Modes of operation: CSP, CSV, CST and homing over one axis; halt; the controlword and its mode's bits.
 
-The rule of this file: a set-point reaches the axis only while its mode is open, and a mode opens at a standstill: a
-target that stood in an object before the drive was enabled moves nothing.
+A set-point reaches the axis only while its mode is open, and a mode opens at a standstill: a target that stood in an
+object before the drive was enabled moves nothing.
 """
 
 import math
+from enum import Enum
 from typing import Final
 
 from eds.cia301 import Emcy
 from eds.cia402 import Control, HomingMethod, Mode, State, Status, Stop, command_of
 from eds.dictionary import key
 from nodes.drives import axis_law as law
-from nodes.drives import homing
-from nodes.drives.homing import Phase
-from nodes.drives.set_point_law import FOLLOWS, KEEPS, RpdoEffect
+from nodes.drives.axis_law import FOLLOWS, KEEPS, RpdoEffect
 from nodes.drives.state_machine import StateMachine
+
+
+class Phase(Enum):
+    """Phase of a homing run."""
+
+    IDLE = "not started, or interrupted"
+    SEEKING = "in progress"
+    ATTAINED = "completed"
+    ERROR = "failed"
+
+
+BITS: Final = {
+    (Phase.IDLE, False): Status.TARGET_REACHED,
+    (Phase.IDLE, True): Status(0),
+    (Phase.SEEKING, False): Status(0),
+    (Phase.SEEKING, True): Status(0),
+    (Phase.ATTAINED, False): Status.HOMING_ATTAINED | Status.TARGET_REACHED,
+    (Phase.ATTAINED, True): Status.HOMING_ATTAINED,
+    (Phase.ERROR, False): Status.HOMING_ERROR | Status.TARGET_REACHED,
+    (Phase.ERROR, True): Status.HOMING_ERROR,
+}
+"""(phase, the axis moves) → statusword bits 10, 12, 13 (CiA 402-2, homing mode)."""
+
+AT_ONCE: Final = frozenset({HomingMethod.CURRENT_POSITION_35, HomingMethod.CURRENT_POSITION_37})
+"""Methods that take the present position for home, without a motion and in any state."""
+
+
+def homing_bits(phase: Phase, moving: bool) -> int:
+    """Return the statusword bits of a phase."""
+    return int(BITS[phase, moving])
+
 
 MODE_DISPLAY = key(0x6061)
 _ENABLED: Final = State.OPERATION_ENABLED
@@ -161,7 +191,7 @@ class ModesOfOperation(StateMachine):
     def _home(self, now_ns: int) -> None:
         self.device.recover(Emcy.HOMING)
         method = self.number(0x6098)
-        if method in homing.AT_ONCE:
+        if method in AT_ONCE:
             self.homed(now_ns)
         elif method == HomingMethod.PRELOAD_TENSION and self._at_will:
             self.cease()
@@ -192,7 +222,7 @@ class ModesOfOperation(StateMachine):
         """Return statusword bits 10 to 13 for the axis' flags."""
         bits = 0
         if self.mode is Mode.HOMING:
-            bits = homing.bits(self.phase, bool(flags & law.IS_MOVING))
+            bits = homing_bits(self.phase, bool(flags & law.IS_MOVING))
         elif self._open is not Mode.NONE:
             if not flags & law.IS_YIELDING:
                 bits = int(Status.FOLLOWS_COMMAND)

@@ -9,10 +9,10 @@ from typing import Final
 
 from eds.cia301 import Emcy
 from eds.dictionary import key
-from nodes.core.interfaces import ProfileHost
+from nodes.core.application import ProfileHost
 from nodes.drives import axis_law as law
+from nodes.drives.axis_law import FEELS, NEWTON, NO_TENSION, RpdoEffect, feel
 from nodes.drives.drive import Drive
-from nodes.drives.set_point_law import FEELS, NEWTON, NO_TENSION, RpdoEffect, feel
 
 TENSION: Final = key(0x2011)
 HYSTERESIS_N: Final = 1.0

@@ -12,8 +12,7 @@ from eds.cia301 import Emcy
 from eds.cia402 import STEP, AbortConnection, DriveEvent, Input, State, Status, Stop, Transition
 from eds.datatype import Value
 from eds.dictionary import key
-from nodes.core.application import Application
-from nodes.core.interfaces import ProfileHost
+from nodes.core.application import Application, ProfileHost
 from nodes.drives.axis import Axis
 
 ERROR_CODE, RELEASE, INPUTS = key(0x603F), key(0x2020), key(0x60FD)

@@ -5,8 +5,7 @@ from typing import Final
 
 from eds.datatype import Value
 from eds.dictionary import key
-from nodes.core.application import Application
-from nodes.core.interfaces import ProfileHost
+from nodes.core.application import Application, ProfileHost
 from physics.plant.bench_plant import Outputs
 
 OPERATING, UNITS, POSITION = key(0x6000), key(0x6001), key(0x6004)

@@ -11,12 +11,19 @@ from typing import Any, Final
 from eds.cia301 import SIGNATURE_ZERO, Abort, Emcy
 from eds.datatype import Value
 from eds.dictionary import key
-from nodes.core.application import Application
-from nodes.core.interfaces import ProfileHost
+from nodes.core.application import Application, ProfileHost
 from nodes.sensors import channel_law as law
-from nodes.sensors import filter as filters
-from nodes.sensors.channel_law import NEGATIVE_OVERLOAD, NOT_VALID, POSITIVE_OVERLOAD
-from nodes.sensors.scaling import INTEGER16, INTEGER32, integer, invalid, real32, two_point
+from nodes.sensors.channel_law import (
+    INTEGER16,
+    INTEGER32,
+    NEGATIVE_OVERLOAD,
+    NOT_VALID,
+    POSITIVE_OVERLOAD,
+    integer,
+    invalid,
+    real32,
+    two_point,
+)
 
 FIELD_REAL, FIELD = key(0x6100, 1), key(0x9100, 1)
 OPERATING_MODE, SAMPLE_RATE = key(0x6112, 1), key(0x6114, 1)
@@ -130,7 +137,7 @@ class TensionSensor(Application):
             return
         if status & NOT_VALID:
             mean = self._mean
-            law.restart(self.channel, *filters.settings(*self._kind))
+            law.restart(self.channel, *law.filter_settings(*self._kind))
             self.channel[law.MEAN] = mean
             self._judge(NOT_VALID, now_ns)
             return
@@ -178,7 +185,7 @@ class TensionSensor(Application):
         self.interval_ns = int(self._real(SAMPLE_RATE)) * 1000
         if restart:
             self._kind = int(self._real(FILTER_TYPE)), int(self._real(FILTER_CONSTANT))
-            law.restart(self.channel, *filters.settings(*self._kind))
+            law.restart(self.channel, *law.filter_settings(*self._kind))
             self._verdict = None
             if not self._measuring:
                 self._tell(Emcy.SENSOR_BROKEN, False)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from eds.cia402 import TRANSITIONS, State
-from nodes.drives.homing import BITS
+from nodes.drives.modes import BITS
 from nodes.drives.state_machine import GUARDS
 
 _BLOCK: Final = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)

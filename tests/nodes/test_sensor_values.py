@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from eds.bench.bench_network import END, START
 from eds.cia301 import SIGNATURE_SAVE, SIGNATURE_ZERO, NmtCommand
 from nodes import TensionSensor
-from nodes.sensors import channel_law, filter
-from nodes.sensors.filter import FilterType
-from nodes.sensors.scaling import INTEGER16, INTEGER32, integer, invalid, two_point
+from nodes.sensors import channel_law
+from nodes.sensors.channel_law import INTEGER16, INTEGER32, FilterType, filter_settings, integer, invalid, two_point
 from parameters import InputError
 from physics.converter import FULL_COUNTS, SensorParameters
 from tests.nodes.drive_rig import NodeBus
@@ -170,7 +169,7 @@ def test_filters_the_channel_lacks_are_refused(index: int, value: int) -> None:
 @given(samples=st.lists(st.integers(-FULL_COUNTS, FULL_COUNTS - 1), min_size=1, max_size=300),
        length=st.integers(1, 255))
 def test_a_moving_average_is_the_mean_of_its_window(samples: list[int], length: int) -> None:
-    channel = channel_law.channel(*filter.settings(FilterType.MOVING_AVERAGE, length))
+    channel = channel_law.channel(*filter_settings(FilterType.MOVING_AVERAGE, length))
     for n, sample in enumerate(samples, 1):
         channel_law.add(channel, float(sample))
         window = samples[max(0, n - length):n]

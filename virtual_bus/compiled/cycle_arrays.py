@@ -11,7 +11,7 @@ import numpy as np
 
 from eds.cia301 import HEARTBEAT_BASE, Frame
 from nodes import Device, Drive, TensionSensor
-from nodes.core.pdo.receive_pdo import ReceivePdo
+from nodes.core.pdos import ReceivePdo
 from nodes.drives import axis_law
 from nodes.sensors import channel_law
 from physics.converter import RING

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from nodes.drives import axis_law, set_point_law
+from nodes.drives import axis_law
 from nodes.sensors import channel_law
 from physics import converter, drive_loops
 from physics.drive_loops import DRIVE_TICK_NS
@@ -46,7 +46,7 @@ TRUTHS: Final = 128
 """Rows of true signals that are collected before they are written."""
 TRUTH_WIDTH: Final = len(truth_row.NAMES)
 ACTION_WIDTH: Final = 3
-"""Unit, origin and range of an RPDO object's effect: `set_point_law.RpdoEffect`."""
+"""Unit, origin and range of an RPDO object's effect: `axis_law.RpdoEffect`."""
 TOOK_WIDTH: Final = 5
 """Fields of an RPDO: waiting (1), data that waits, taken (1), data taken last, deadline."""
 PENDING_WIDTH: Final = 5
@@ -201,14 +201,14 @@ SYNC_ID: Final = 0x080
 
 _advance, _axis_step, _axis_counts = step.advance, axis_law.step, axis_law.counts
 _convert, _sample, _process = converter.convert, channel_law.sample, channel_law.process
-_target, _way, _feel, _truth_row = set_point_law.target, set_point_law.way, set_point_law.feel, truth_row.truth_row
-FOLLOWS, FEELS = set_point_law.FOLLOWS, set_point_law.FEELS
+_target, _way, _feel, _truth_row = axis_law.target, axis_law.way, axis_law.feel, truth_row.truth_row
+FOLLOWS, FEELS = axis_law.FOLLOWS, axis_law.FEELS
 _stuffed_bits = bit_counts.stuffed_bits
 
 
 def digest() -> int:
     """Return a number of the sources that the compiled cycle is made of, for numba's cache sees its own file alone."""
-    made = (axis_law, channel_law, set_point_law, converter, drive_loops, bit_counts, bits, truth_row, bench_plant)
+    made = (axis_law, channel_law, converter, drive_loops, bit_counts, bits, truth_row, bench_plant)
     text = b"".join(Path(str(module.__file__)).read_bytes() for module in made)
     return int.from_bytes(hashlib.sha256(text).digest()[:7], "big") ^ step.digest()
 
@@ -307,7 +307,7 @@ def take(f: Any, i: Any, n: int) -> Any:
             return False
         _target(s, f[unit], f[origin], raw)
     elif action == FEELS:
-        return raw != set_point_law.NO_TENSION and _feel(s, raw) <= f[most]
+        return raw != axis_law.NO_TENSION and _feel(s, raw) <= f[most]
     return True
 
 

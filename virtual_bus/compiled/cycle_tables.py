@@ -6,10 +6,9 @@ A PDO that the compiled cycle cannot process exactly as the device does gives no
 from typing import NamedTuple
 
 from nodes import Drive, TensionSensor
-from nodes.core.pdo.receive_pdo import ReceivePdo
-from nodes.core.pdo.transmit_pdo import TransmitPdo
-from nodes.drives.rules import RULES
-from nodes.drives.set_point_law import RpdoEffect
+from nodes.core.pdos import ReceivePdo, TransmitPdo
+from nodes.drives.axis_law import RpdoEffect
+from nodes.drives.drive import RULES
 from virtual_bus.compiled import cycle_code as law
 
 WIDEST = 32

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from eds.declaration import DeviceType, ObservedPart
 from eds.dictionary import key
-from nodes import Application
-from nodes.core.interfaces import ProfileHost
+from nodes import Application, ProfileHost
 from parameters import parameter
 from physics.plant.bench_plant import Outputs
 

@@ -10,9 +10,16 @@ from typing import TYPE_CHECKING, Final
 
 from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Abort, Frame, NmtState, Service
 from nodes.core.parts import FAR_NS, MS, Handler, Part
-from nodes.core.sdo.sdo_block import BlockDownload, BlockUpload
-from nodes.core.sdo.sdo_segment import SegmentDownload, SegmentUpload
-from nodes.core.sdo.sdo_transfer import DownloadBuffer, Transfer, TransferAbortedError, multiplexer
+from nodes.core.sdo_transfers import (
+    BlockDownload,
+    BlockUpload,
+    DownloadBuffer,
+    SegmentDownload,
+    SegmentUpload,
+    Transfer,
+    TransferAbortedError,
+    multiplexer,
+)
 
 if TYPE_CHECKING:
     from nodes.core.device import Device

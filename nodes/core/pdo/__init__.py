@@ -1,1 +1,0 @@
-"""PDOs of a device: mapping, parameters, reception and transmission."""
