@@ -20,8 +20,7 @@ import can
 import canopen
 
 from benchmarks.frame import Turn, repeated
-from eds.bench.bench_network import DRIVES, FILES, Network, wire
-from eds.bench.setup import RPDO, Pdo
+from eds.bench.bench_network import DRIVES, FILES, RPDO, Network, Pdo, wire
 from eds.cia301 import SYNC_COB_ID
 from eds.dictionary import packaged
 from master.motion.experiment_run import ExperimentSetup, run

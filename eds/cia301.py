@@ -105,6 +105,15 @@ SIGNATURE_ZERO: Final = 0x6F72657A
 """Signature "zero", written to 0x6125 (CiA 404)."""
 
 
+RESTRICTED: Final = ((0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF))
+"""Identifiers that no configurable object may take (CiA 301, table 41)."""
+
+
+def restricted(can_id: int) -> bool:
+    """Return whether CiA 301 keeps `can_id` from SYNC, EMCY and PDOs."""
+    return any(low <= can_id <= high for low, high in RESTRICTED)
+
+
 def pdo_type_allowed(transmission_type: int) -> bool:
     """Return whether 0x140x:02 or 0x180x:02 may hold the value here: 0, 1 … 240, 254, 255; no remote-only 252, 253."""
     return 0 <= transmission_type <= SYNC_MAX or transmission_type in (EVENT_MANUFACTURER, EVENT_PROFILE)

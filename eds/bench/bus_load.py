@@ -16,8 +16,7 @@ from enum import Enum
 from typing import Final
 
 from eds import cia301
-from eds.bench.bench_network import MASTER, MONITOR, WireLayout
-from eds.bench.setup import fits_one_byte
+from eds.bench.bench_network import MASTER, MONITOR, WireLayout, fits_one_byte
 from eds.pdo_plan import PdoPlan
 from parameters import InputError
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from eds.cia301 import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, Abort
+from eds.cia301 import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, Abort, restricted
 
 if TYPE_CHECKING:
     from nodes.core.device import Device
@@ -17,16 +17,6 @@ CAN_ID: Final = 0x7FF
 INVALID: Final = COB_ID_INVALID
 _EXTENDED_BITS: Final = 0x1FFFF800
 _IDENTITY: Final = COB_ID_EXTENDED | _EXTENDED_BITS | CAN_ID
-
-RESTRICTED: Final = (
-    (0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF),
-)
-"""Identifiers that no configurable object may take (CiA 301, table 41)."""
-
-
-def restricted(can_id: int) -> bool:
-    """Return whether CiA 301 keeps `can_id` from SYNC, EMCY and PDOs."""
-    return any(low <= can_id <= high for low, high in RESTRICTED)
 
 
 def exists(cob_id: int) -> bool:

@@ -6,7 +6,7 @@ import pytest
 
 import eds
 from eds import cia301, scale_factors
-from eds.bench import bench_network, setup
+from eds.bench import bench_network
 from eds.bench.bench_network import Network
 from eds.datatype import DataType
 from eds.device_mapping import KneeMapping, ServoMapping
@@ -100,8 +100,8 @@ TARGETS_MS = 100
 ])
 def test_set_up_leaves_a_node_with_exactly_its_pdos(wire, node, sent, taken):
     values = apply(wire.nodes[node].dictionary, wire.setup(node))
-    assert held(values, setup.TPDO) == sent
-    assert held(values, setup.RPDO) == taken
+    assert held(values, bench_network.TPDO) == sent
+    assert held(values, bench_network.RPDO) == taken
 
 
 def test_set_up_starts_the_supervision(wire):

@@ -6,7 +6,7 @@ import tomllib
 import pytest
 
 import eds
-from eds.bench import bus_load, setup
+from eds.bench import bench_network, bus_load
 from eds.bench.bench_network import Network
 from eds.declaration import as_json, declared, from_json, packaged, text_of
 from parameters import InputError
@@ -47,16 +47,16 @@ def test_eight_bytes_of_targets_go_into_a_frame_and_the_rest_into_the_next() -> 
     wire = wire_of("bench_two_legs", 500)
     assert [(plan.cob_id, plan.size) for plan in wire.target_frames] == [(0x201, 8), (0x205, 8)]
     assert [(plan.cob_id, plan.size) for plan in wire.controlword_frames] == [(0x301, 8)]
-    assert [[f"{word:08X}" for word in pdo.mapping] for pdo in wire.pdos(6) if pdo.base == setup.RPDO] == [
+    assert [[f"{word:08X}" for word in pdo.mapping] for pdo in wire.pdos(6) if pdo.base == bench_network.RPDO] == [
         ["00040020", "607A0020"], ["00060010", "00060010", "00060010", "60400010"]]
 
 
 def test_a_joint_without_a_drive_is_asked_in_the_frame_of_targets() -> None:
     wire, driven = wire_of("bench_no_knee_drive", 1000), wire_of("bench", 1000)
     assert wire.targets.pack_si(0.01, -0.5) == driven.targets.pack_si(0.01, -0.5)
-    assert [[f"{word:08X}" for word in pdo.mapping] for pdo in wire.pdos(1) if pdo.base == setup.RPDO][:2] == [
+    assert [[f"{word:08X}" for word in pdo.mapping] for pdo in wire.pdos(1) if pdo.base == bench_network.RPDO][:2] == [
         ["607A0020", "00040020"], ["60400010"]]
-    assert [pdo.base for pdo in wire.pdos(2)] == [setup.TPDO]
+    assert [pdo.base for pdo in wire.pdos(2)] == [bench_network.TPDO]
 
 
 def test_asked_angles_that_do_not_fit_go_into_a_frame_of_their_own() -> None:
@@ -77,7 +77,7 @@ def test_a_path_without_start_is_not_watched_by_its_drive() -> None:
     del tables["force_path"][0]["start"]
     tables["device"] = [row for row in tables["device"] if row["name"] != "start"]
     wire = eds.wire(Network(bench=declared(tables, where="bench.toml")))
-    assert [pdo.cob_id for pdo in wire.pdos(1) if pdo.base == setup.RPDO] == [0x201, 0x301]
+    assert [pdo.cob_id for pdo in wire.pdos(1) if pdo.base == bench_network.RPDO] == [0x201, 0x301]
 
 
 WRONG = {

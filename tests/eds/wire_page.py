@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from eds.bench import bus_load
-from eds.bench.bench_network import MASTER, Network, WireLayout, wire
+from eds.bench.bench_network import MASTER, TPDO, Network, Pdo, WireLayout, wire
 from eds.bench.bus_load import Kind
-from eds.bench.setup import TPDO, Pdo
 from eds.pdo_plan import PdoPlan
 
 _HEAD = """\
