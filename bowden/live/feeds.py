@@ -101,9 +101,9 @@ def of_trial(where: str, name: str, network: Network, say: Callable[[str], None]
 
     `say` receives the address before the trial begins. Raises `InputError` if the address cannot be used.
     """
-    from master.cycle import stop_request
+    from master.cycle.run_safely import stop_button
 
-    with stop_request.armed() as stop:
+    with stop_button() as stop:
         page = PageProcess(setup(name, network), where, stop)
         say(page.url)
         feed = TrialFeed(page, places(network, FORCES))

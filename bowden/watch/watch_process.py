@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from bowden.watch import file_watch
 from bowden.watch.file_watch import FileWatch, WatchedBench
-from master.cycle import stop_request
+from master.cycle.run_safely import stop_button
 from parameters import InputError
 
 HEAR_ROWS: Final = 100
@@ -161,7 +161,7 @@ def beside(path: Path, bench: WatchedBench, place: int = 0, *, paced: bool, show
     process.start()
     there.close()
     try:
-        with stop_request.armed() as stop:
+        with stop_button() as stop:
             watch = TrialWatch(here, paced, stop, place)
             watch.hear(READY)
             if watch.lost:

@@ -90,11 +90,7 @@ class Log:
     def take(self, rows: Any, count: int, last_ns: int, target_stamp_ns: int) -> None:
         """Record frames up to `last_ns`, bytes of `cdr.FRAME_ROW`s, the last targets among them; raises `StopError`."""
         self.target_stamp_ns = target_stamp_ns
-        if self._recorder is not None:
-            try:
-                self._recorder.frames(rows, count, last_ns)
-            except _FAILURES as error:
-                self._give_up(error)
+        self._tell("frames", rows, count, last_ns)
 
     def controller(self, errors: ControllerErrors) -> None:
         """Record the waiting events of the CAN controller; raises `StopError`."""
@@ -112,17 +108,17 @@ class Log:
 
     def row(self, time_ns: int, values: Sequence[float]) -> None:
         """Record one control cycle, in the order of `trial.signals.SIGNALS`; raises `StopError`."""
-        if self._recorder is not None:
-            try:
-                self._recorder.cycle(time_ns, values)
-            except _FAILURES as error:
-                self._give_up(error)
+        self._tell("cycle", time_ns, values)
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
         """Record an event: kind, source and one sentence; raises `StopError`."""
+        self._tell("event", time_ns, kind, source, text)
+
+    def _tell(self, what: str, *values: Any) -> None:
+        """Call a method of the recorder, if there is one that has not failed."""
         if self._recorder is not None:
             try:
-                self._recorder.event(time_ns, kind, source, text)
+                getattr(self._recorder, what)(*values)
             except _FAILURES as error:
                 self._give_up(error)
 

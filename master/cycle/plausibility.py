@@ -299,34 +299,28 @@ def _still(s: Any, g: Any, start: float, end: float) -> None:
     _compare(s, STILL_END, start if s[SAME_END] > least else s[AT_START], s[AT_START], 1.5 * room + 0.3 * abs(end))
 
 
-def _compile() -> Any:
-    @njit(cache=True)
-    def step(
-        s: Any, g: Any, limited: float, target: float, position: float, force: float, knee_target: float, knee: float,
-        start: float, end: float,
-    ) -> int:
-        s[FRESH] += 1.0
-        s[FILLED] += 1.0
-        _tracking(s, g, limited, target, knee_target, position, knee)
-        _force(s, g, position, force, start)
-        if g[WITH_END] > 0.0:
-            middle = _ratio(s, g, position, start, end)
-            _stretch(s, g, middle, position, knee, start, end)
-            _still(s, g, start, end)
-        for relation in range(RELATIONS):
-            if s[COUNTS + relation] >= PERSIST:
-                return relation
-        return -1
+@njit(cache=True)
+def step(
+    s: Any, g: Any, limited: float, target: float, position: float, force: float, knee_target: float, knee: float,
+    start: float, end: float,
+) -> int:
+    """Compare one cycle; return the violated relation, −1 for none.
 
-    return step
-
-
-step: Final[Any] = _compile()
-"""step(s, g, limited, target, position, force, knee_target, knee, start, end) → the violated relation, −1 for none.
-
-`limited` 0 or more: metres by which the tension bound holds the servo back, as it reports; targets are the ones sent
-before these inputs were latched.
-"""
+    `limited` 0 or more: metres by which the tension bound holds the servo back, as it reports; targets are the ones
+    sent before these inputs were latched.
+    """
+    s[FRESH] += 1.0
+    s[FILLED] += 1.0
+    _tracking(s, g, limited, target, knee_target, position, knee)
+    _force(s, g, position, force, start)
+    if g[WITH_END] > 0.0:
+        middle = _ratio(s, g, position, start, end)
+        _stretch(s, g, middle, position, knee, start, end)
+        _still(s, g, start, end)
+    for relation in range(RELATIONS):
+        if s[COUNTS + relation] >= PERSIST:
+            return relation
+    return -1
 
 
 class Implausibility(NamedTuple):

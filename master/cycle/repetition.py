@@ -90,53 +90,49 @@ def _against(s: Any, g: Any, row: Any, by_force: int, by_rope: int, rope: float,
     return found
 
 
-def _compile() -> Any:
-    @njit(cache=True)
-    def step(
-        s: Any, memory: Any, g: Any, width: int, percent: float, desired: float, cycle: float, rope: float, knee: float,
-        start: float, end: float,
-    ) -> int:
-        if cycle < s[LAST_CYCLE] or (cycle < 0.0 and s[LAST_CYCLE] >= 0.0):
-            memory[:] = np.nan
-            s[COUNTS:COUNTS + COMPARISONS] = 0.0
-        s[LAST_CYCLE] = cycle
-        at = int(s[PLACE])
-        if s[FILLED] < width:
-            s[FILLED] += 1.0
-        else:
-            s[SUM] -= s[RINGS + at]
-            s[SUM_START] -= s[RINGS + RING + at]
-        s[RINGS + at], s[RINGS + RING + at] = end - desired, start
-        s[SUM] += end - desired
-        s[SUM_START] += start
-        s[PLACE] = float((at + 1) % width)
-        here = -1 if math.isnan(percent) else int(percent * (BINS / 100.0)) % BINS
-        if (here >= 0 and here == int(s[LAST_BIN])) or s[FILLED] < width:
-            return -1
-        s[LAST_BIN] = here
-        error, tension = s[SUM] / width, s[SUM_START] / width
-        if _compare(s, g, DESIRED, desired + error, desired):
-            s[END_MOVED], s[START_MOVED], s[ROPE_MOVED] = error, 0.0, 0.0
-            return DESIRED
-        if cycle < 0.0 or here < 0:
-            return -1
-        found = -1
-        for older in range(2):
-            row = memory[older, here]
-            if math.isnan(row[M_DESIRED]):
-                row[M_DESIRED], row[M_KNEE], row[M_ERROR] = desired, knee, error
-                row[M_START], row[M_ROPE] = tension, rope
-                break
-            by = _against(s, g, row, FIRST + older, WOUND_FIRST + older, rope, knee, desired, error, tension)
-            found = by if found < 0 else found
-        return found
+@njit(cache=True)
+def step(
+    s: Any, memory: Any, g: Any, width: int, percent: float, desired: float, cycle: float, rope: float, knee: float,
+    start: float, end: float,
+) -> int:
+    """Compare one control cycle; return the comparison that failed, −1 for none.
 
-    return step
-
-
-step: Final[Any] = _compile()
-"""step(s, memory, g, width, percent, desired, cycle, rope, knee, START, END) → the comparison that failed, −1 for none;
-`width`: control cycles in the mean; a `percent` of NaN is no phase."""
+    `width`: control cycles in the mean; a `percent` of NaN is no phase.
+    """
+    if cycle < s[LAST_CYCLE] or (cycle < 0.0 and s[LAST_CYCLE] >= 0.0):
+        memory[:] = np.nan
+        s[COUNTS:COUNTS + COMPARISONS] = 0.0
+    s[LAST_CYCLE] = cycle
+    at = int(s[PLACE])
+    if s[FILLED] < width:
+        s[FILLED] += 1.0
+    else:
+        s[SUM] -= s[RINGS + at]
+        s[SUM_START] -= s[RINGS + RING + at]
+    s[RINGS + at], s[RINGS + RING + at] = end - desired, start
+    s[SUM] += end - desired
+    s[SUM_START] += start
+    s[PLACE] = float((at + 1) % width)
+    here = -1 if math.isnan(percent) else int(percent * (BINS / 100.0)) % BINS
+    if (here >= 0 and here == int(s[LAST_BIN])) or s[FILLED] < width:
+        return -1
+    s[LAST_BIN] = here
+    error, tension = s[SUM] / width, s[SUM_START] / width
+    if _compare(s, g, DESIRED, desired + error, desired):
+        s[END_MOVED], s[START_MOVED], s[ROPE_MOVED] = error, 0.0, 0.0
+        return DESIRED
+    if cycle < 0.0 or here < 0:
+        return -1
+    found = -1
+    for older in range(2):
+        row = memory[older, here]
+        if math.isnan(row[M_DESIRED]):
+            row[M_DESIRED], row[M_KNEE], row[M_ERROR] = desired, knee, error
+            row[M_START], row[M_ROPE] = tension, rope
+            break
+        by = _against(s, g, row, FIRST + older, WOUND_FIRST + older, rope, knee, desired, error, tension)
+        found = by if found < 0 else found
+    return found
 
 
 class CycleDeparture(NamedTuple):

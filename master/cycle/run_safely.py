@@ -26,7 +26,6 @@ from master.cycle.log import CycleSink, Log
 from master.cycle.safe_stop import let_go, safe_stop
 from master.cycle.safety import Condition, StopError
 from master.cycle.shared_exchange import Running, SharedExchange
-from master.cycle.stop_request import requested
 from master.network import bringup
 from master.network.bus_watch import BusWatch
 from master.network.drive_limits import drive_limits
@@ -189,15 +188,32 @@ def _establish(exchange: Running) -> None:
     exchange.forget_misses()
 
 
+_requested = threading.Event()
+
+
+@contextmanager
+def stop_button() -> Iterator[Callable[[], None]]:
+    """Yield a function by which any thread of this process may request the safe stop of the run in this context."""
+    _requested.clear()
+    try:
+        yield _requested.set
+    finally:
+        _requested.clear()
+
+
 @contextmanager
 def interruption() -> Iterator[Callable[[], int]]:
     """Poll Ctrl-C and similar signals between cycles, so that no cycle is cut short.
 
     The yielded function returns the number of the first signal of `ENDING`, 0 before any; a second Ctrl-C interrupts
-    at once. A request by another thread (`stop_request`) counts as the first Ctrl-C, in whatever thread the run is. A
+    at once. A request by another thread (`stop_button`) counts as the first Ctrl-C, in whatever thread the run is. A
     signal that this process ignores (nohup) stays ignored.
     """
     asked = 0
+
+    def requested() -> int:
+        return asked or (int(signal.SIGINT) if _requested.is_set() else 0)
+
     if threading.current_thread() is not threading.main_thread():
         yield requested
         return
@@ -213,7 +229,7 @@ def interruption() -> Iterator[Callable[[], int]]:
     for number in taken:
         signal.signal(number, press)
     try:
-        yield lambda: asked or requested()
+        yield requested
     finally:
         for number in taken:
             signal.signal(number, before[number])

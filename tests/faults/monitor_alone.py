@@ -1,6 +1,6 @@
 """The matrix with the safety monitor: `python -m tests.faults.monitor_alone [--guards alone master both] [--drive …]
-[--rows PATTERN] [--moments …] [--gait WORDS] [--every N] [--csv FILE] [--page FILE] [--healthy N]`. A run replaces its
-own runs in the CSV and keeps the others.
+[--rows PATTERN] [--moments …] [--gait WORDS] [--every N] [--csv FILE] [--page FILE]`. A run replaces its own runs in
+the CSV and keeps the others.
 
 Supervisions of one fault: the monitor alone (the master's checks are switched off here, in this process; the product
 has no such switch), the master without a monitor, and both. `--drive bought`: a drive that protects nothing by itself.
@@ -17,7 +17,6 @@ import math
 import re
 import signal
 import sys
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -171,40 +170,6 @@ def chosen(pattern: str, moments: Sequence[str], every: int, gait: str = "") -> 
     return found
 
 
-# ---- healthy trials ----
-
-
-def person_of(peak_n: float, period_s: float, folder: Path) -> Path:
-    """Write a person's file for another peak and gait than the packaged: forces by the peak, speed by the period."""
-    by = peak_n / 40.0
-    text = safety_monitor.packaged().read_text(encoding="utf-8")
-    for key, factor in {"start_n": by, "end_n": by, "force_rate_n_s": max(1.0, by) * max(1.0, 1.1 / period_s),
-                        "rope_m_s": max(1.0, by) * max(1.0, 1.1 / period_s),
-                        "knee_deg_s": max(1.0, 1.1 / period_s)}.items():
-        top = safety_monitor.person.RANGES[key][2]
-        text = re.sub(rf"(?m)^{key} = ([\d.]+)",
-                      lambda m, key=key, factor=factor, top=top: f"{key} = {min(top, factor * float(m[1])):.3g}", text)
-    path = folder / f"person-{peak_n:g}-{period_s:g}.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def healthy(count: int) -> int:
-    """Run healthy trials with a monitor, print how many it stopped, and return that number."""
-    from benchmarks import supervision
-
-    stopped = []
-    with tempfile.TemporaryDirectory() as folder:
-        for job in supervision.jobs(count, 2):
-            person = person_of(job.peak_n, job.period_s, Path(folder))
-            ended = supervision.ran(job._replace(bench=job.bench | {"monitor": str(person)}))
-            if ended.reason is not None:
-                stopped.append((job, ended.reason))
-                print(f"{job}: {ended.reason}", flush=True)
-    print(f"{count} healthy trials with a safety monitor, {len(stopped)} stopped.")
-    return len(stopped)
-
-
 # ---- output ----
 
 
@@ -267,13 +232,10 @@ def main() -> int:
     asked.add_argument("--person", type=Path, default=safety_monitor.packaged())
     asked.add_argument("--csv", type=Path)
     asked.add_argument("--page", type=Path)
-    asked.add_argument("--healthy", type=int, default=0, help="healthy trials instead of faults")
     asked.add_argument("--jobs", type=int, default=2)
     given = asked.parse_args()
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):  # a shell's background job ignores some of them
         signal.signal(getattr(signal, name), signal.SIG_DFL)
-    if given.healthy:
-        return int(bool(healthy(given.healthy)))
     turns = list(itertools.product(given.drive, given.guards))
     found = kept(given.csv)
     rows = chosen(given.rows, given.moments, given.every, given.gait)
