@@ -162,14 +162,14 @@ def step(state: MonitorState, bounds: Bounds, master: int, drives: Sequence[int]
     `master` and `drives` are the node ids whose heartbeats are watched. A state with an open line is returned as is.
     """
     if not state.enabled:
-        return state
+        return state  # what broke a bound may be gone by now; whether the limb moves again is for a person to decide
     watched = (master, *drives)
     now = tuple(PathInputs(*map(float, path)) for path in paths)
     last = {beat.node: beat for beat in state.heard}
     for frame in frames:
         node = frame.can_id - HEARTBEAT_BASE
         if node in watched and len(frame.data) == 1 and not (frame.extended or frame.remote or frame.error):
-            last[node] = Heartbeat(node, time_ns, frame.data[0] & 0x7F)
+            last[node] = Heartbeat(node, time_ns, frame.data[0] & 0x7F)  # bit 7: toggle of node guarding (CiA 301)
     heard = tuple(last.values())
     at_work = any(beat.node in drives and beat.state == NmtState.OPERATIONAL for beat in heard)
     working_ns = -1 if not at_work else state.working_ns if state.working_ns >= 0 else time_ns

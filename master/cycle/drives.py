@@ -19,6 +19,7 @@ from master.network.sdo import SdoError
 
 PATIENCE_NS = 2_000_000_000
 RESEND_NS = 20_000_000
+"""Time after which a controlword without effect is sent again, ns: sent once, by event, it may have been lost."""
 _ERROR_CODE, _MODE, _MODE_SHOWN, _HOME_OFFSET, _HOMING_METHOD = 0x603F, 0x6060, 0x6061, 0x607C, 0x6098
 _OPERATE = 0x000F
 
@@ -28,6 +29,7 @@ def enable(exchange: Running) -> None:
     for path in exchange.paths:
         _drive_to(path, (State.OPERATION_ENABLED, State.OPERATION_ENABLED))
         path.plausibility.restart()
+    # only now: until the last path is enabled, a drive that is off is no fault
     for path in exchange.paths:
         path.guard.enabled = True
 
@@ -133,12 +135,13 @@ def _error_code(exchange: Exchange, node: int) -> str:
 
 
 def quick_stop(exchange: Exchange) -> None:
-    """Quick stop for the servo (0x605A = 2 by its set-up); the knee drive holds its target."""
+    """Quick stop for the servo (0x605A = 2 by its set-up; CiA 402, transition 11); the knee drive holds its target."""
     exchange.command(0x0002, _OPERATE)
 
 
 def release(exchange: Exchange, knee_too: bool = False) -> None:
     """Take the servo's torque off at once; the knee drive holds its target, unless its torque is taken, too."""
+    # disable voltage (CiA 402, transition 9) needs no feedback, which a ramp would brake by
     exchange.command(0x0000, 0x0000 if knee_too else _OPERATE)
 
 
@@ -159,6 +162,7 @@ def set_home(exchange: Exchange, position_um: int) -> Inputs:
         if exchange.inputs.sync_ns >= deadline or exchange.inputs.servo_status & Status.HOMING_ERROR:
             raise BringUpError(f"{exchange.wire.nodes[servo].name} did not attain home "
                           f"(statusword 0x{exchange.inputs.servo_status:04X}).")
+    # targets by the new count before positions are followed again: the old ones were a step of the whole shift
     inputs = exchange.hold()
     exchange.advance(inputs.servo_position_m, exchange.targets[1])
     exchange.command(_OPERATE, _OPERATE)

@@ -32,7 +32,6 @@ FIRST_SENSOR = 2
 NO_VALUE = -32767.5
 """Raw counts of 0x7130 below which a sensor reports an invalid value: the least INTEGER16 alone."""
 UNSEEN = "the bus does not show SYNC to its sender; the master sends it from its own clock, with more jitter."
-NO_SYNC = "none for {:.0f} ms"
 UNHEARD = (NAN, NAN, NAN, NAN)
 KNEE_BIT = 1 << KNEE
 NEEDED = 0b0111
@@ -77,6 +76,7 @@ class SyncCycle:
             self.log.event(self.link.clock(), "warning", "master", UNSEEN)
             sync_ns = self._await_sync()
         self.log.drain()
+        # without targets during an SDO's wait the drives let go after 100 ms (0x1400:05)
         self.link.pump = lambda _deadline_ns: self.hold()
         for path in self.paths:
             path.first_ns = sync_ns
@@ -120,8 +120,8 @@ class SyncCycle:
     def _refuse_silence(self, sync_ns: int) -> None:
         """Raise `StopError` where no SYNC has come."""
         if sync_ns < 0:
-            self.paths[0].guard.heed_strangers()
-            raise StopError(Condition.SYNC_LOST, NO_SYNC.format(self._patience_ns / 1e6))
+            self.paths[0].guard.heed_strangers()  # a foreign command is the cause, the silence its consequence
+            raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
 
     def _collect(self, sync_ns: int) -> None:
         """Receive the PDOs of one SYNC that are absent, until its deadline."""
@@ -132,7 +132,7 @@ class SyncCycle:
                 for path in hearing.get(message.arbitration_id, ()):
                     path.hear(message, sync_ns)
             elif (stamp := stamp_ns(message)) - sync_ns > self.wire.period_ns // 2:
-                self._early_ns = stamp
+                self._early_ns = stamp  # to wait on for this cycle's inputs would make the next one late, too
                 break
             else:
                 paths[0].note_repeated(stamp)
@@ -253,6 +253,7 @@ class Exchange(SyncCycle):
             arbitration_id=self.wire.targets.cob_id, data=data, is_extended_id=False))
         sync_ns = self._await_sync()
         self.log.drain()
+        # recorded before anything may stop, so that the file has the cycle that ends the trial
         self._record(sync_ns, sent, annotations)
         self._refuse_silence(sync_ns)
         return self._latch(sync_ns)
@@ -260,7 +261,7 @@ class Exchange(SyncCycle):
     def answer(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None) -> None:
         """Accept the targets that answer `inputs`; nothing is sent."""
         inputs = self.inputs
-        if annotations is not None:
+        if annotations is not None:  # before the targets go out: a gait that departs gets no further one
             self.guard.check_gait(inputs, annotations)
         self.targets = (servo_m, knee_rad)
         self._step_ns = self.link.clock() - self._answered_ns
@@ -369,6 +370,7 @@ class Exchange(SyncCycle):
         """Store all TPDOs, as `eds.pdo_plan.JoinedUnpacker` reads them; return the bits of those that were refused."""
         ends, values = self._unpack_all(frames)
         servo, knee, start, end = values
+        # `accepts` permits the step of a zero that homing sets, `takes_all` knows none
         if (start[0] > self._no_value[2] and end[0] > self._no_value[3] and not self.rehoming
                 and self._reception.takes_all(servo[1], knee[1], start[0], end[0])):
             self._values, self._latched_ns = values, (sync_ns, sync_ns, sync_ns, sync_ns)

@@ -31,6 +31,7 @@ T = TypeVar("T")
 _ENABLED_MASK, _ENABLED = State.OPERATION_ENABLED.value
 _REPORTED = int(Status.FOLLOWING_ERROR | Status.INTERNAL_LIMIT)
 WATCH_NS = 10_000_000
+"""Period at which signals and heartbeats are looked at, ns: short against a heartbeat's timeout, 250 ms."""
 LIMITED_NS = 300_000_000
 """Time for which a drive may report that an internal limit holds it back (statusword bit 11)."""
 YIELDED_M = 2e-3
@@ -73,6 +74,7 @@ class Guard:
         self._path = wire.path
         self._knee_driven = self._path.knee in wire.drives
         self._missed = [(0, 0)] * len(self._order)
+        # order in which lost nodes are named: without servo or START the rope would be pulled blindly
         self._by_weight = tuple(node for place in (SERVO, START, KNEE, END) if (node := self._path[place]))
         self._watched = (*self._by_weight, *(node for node in wire.nodes if node not in self._order))
         self._period_ns = wire.period_ns
@@ -88,17 +90,19 @@ class Guard:
         # causes before consequences: what was said on the bus, then limits, then missing inputs, then relations
         if (watch is not None and watch.found) or link.emergencies or link.boots or link.controller.events:
             self.heed(inputs.sync_ns, reception)
+        # a stop goes on by its first cause: what happens meanwhile is recorded and begins no other one
         if not self.active:
             return
         limits = self.limits
         if inputs.start_n > limits.start_n:
             raise self._limit(Condition.START_LIMIT, f"{inputs.start_n:.1f} N of {limits.start_n:g} N",
                               self._path.start)
-        if inputs.end_n > limits.end_n:
+        if inputs.end_n > limits.end_n:  # never for NaN, of a bench without END
             raise self._limit(Condition.END_LIMIT, f"{inputs.end_n:.1f} N of {limits.end_n:g} N", self._path.end)
         if inputs.missing:
             self._refuse_strange(reception)
             self._refuse_stale(late_in_row)
+        # drives that are off follow no target, and a person may move the leg: there is nothing to compare
         if self.enabled:
             if (inputs.servo_status & _ENABLED_MASK != _ENABLED
                     or (self._knee_driven and inputs.knee_status & _ENABLED_MASK != _ENABLED)):
@@ -144,6 +148,7 @@ class Guard:
     def _refuse_reported(self, inputs: Inputs, rehoming: bool) -> None:
         """Stop if a drive reports a following error (statusword bit 13) or an internal limit for too long (bit 11)."""
         for i, (node, word) in enumerate(zip(self._path, (inputs.servo_status, inputs.knee_status), strict=False)):
+            # in homing mode bit 13 is the homing error (CiA 402), which `drives.set_home` reads
             if word & Status.FOLLOWING_ERROR and not rehoming:
                 raise StopError(Condition.OFF_TARGET, f"{self._name(node)} reports a following error (statusword "
                                                       f"0x{word:04X}, bit 13)", node)
@@ -161,6 +166,7 @@ class Guard:
         doubt = self.plausibility.doubt() if self.plausibility is not None and self.enabled else None
         if doubt is None:
             return StopError(condition, text, node)
+        # the reading beyond its limit may be the lie: the reaction must not unwind by it
         suspicion = blamed(doubt, self._path)
         return StopError(suspicion.condition, f"{suspicion.detail}; {condition.value}, {text}", suspicion.node_id)
 
@@ -208,6 +214,7 @@ class Guard:
             self._log.event(emergency.time_ns, "emcy", self._name(emergency.node_id), text)
             if emergency.code != Emcy.NO_ERROR and not (self.beginning and emergency.code in _CONSEQUENCES):
                 first = first or self._cause(emergency, text, now_ns, reception)
+        # a node that booted has the limits and deadlines of power-on, not those that bring-up wrote
         for node in _taken(link.boots, self._others.__contains__):
             self._log.event(now_ns, "nmt", self._name(node), "boot-up.")
             first = first or StopError(Condition.BOOTED, self._name(node), node)

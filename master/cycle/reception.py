@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 from master.settings import Limits
 
 ENOUGH: Final = 5
+"""Refused values in a row that stop.  Fewer: a burst of disturbed frames stops.  More: the rope is pulled blindly."""
 SPAN_N: Final = 230.0
 """Range of the tension sensors, N, with a margin for their offset."""
 TENSION_STEP_N: Final = 25.0
@@ -45,6 +46,7 @@ class Reception:
         tension = Bounds(0, "N", -SPAN_N, SPAN_N, TENSION_STEP_N, TENSION_RATE_N_S * period_s)
         self.bounds = (
             Bounds(1, "m", -REACH_M, REACH_M, POSITION_STEP_M, limits.rope_m_s * period_s),
+            # the drive permits 12.5 % more than the limit: a leg that fast is out of bounds, its angle is right
             Bounds(1, "rad", -KNEE_REACH_RAD, KNEE_REACH_RAD, KNEE_STEP_RAD, limits.knee_rad_s * 1.15 * period_s),
             tension, tension)
         self.refused = [0, 0, 0, 0]

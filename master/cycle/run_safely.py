@@ -74,6 +74,7 @@ def run_safely(
     described = wire(network)
     budget_ns = bus_load.refuse(described).deadline_ns - bus_load.frame_bits(0) * bus_load.bit_ns(described)
     log = Log(tap, recorder, described.target_frames[-1].cob_id)
+    # compiled here: in a cycle it would take seconds, in which the drives get no targets
     plausibility.prepare()
     repetition.prepare()
     with interruption() as interrupted, collector_frozen():
@@ -103,7 +104,7 @@ def _prepare(exchange: Running, described: WireLayout, limits: Limits) -> StopEr
     link = exchange.link
     try:
         bringup.bring_up(link, described, exchange.log, drive_limits(described, limits))
-        link.emergencies.clear()
+        link.emergencies.clear()  # raised by resets and new parameters, before anything could move
         link.watch = BusWatch(described, link.returned)
     except bringup.RivalError as error:
         return StopError(Condition.REFUSED, str(error))
@@ -132,7 +133,7 @@ def _attempt(exchange: Running, described: WireLayout, perform: Callable[[Any], 
         stop = StopError(Condition.BUS_LOST, str(error))
     except Exception as error:
         stop = StopError(Condition.FAILED, _text_of(error))
-    except BaseException:
+    except BaseException:  # a second Ctrl-C: there is no time for a stop in cycles
         let_go(exchange)
         raise
     try:
@@ -166,7 +167,7 @@ def _cycle(exchange: Running, described: WireLayout, perform: Callable[[Any], No
     exchange.begin()
     _establish(exchange)
     perform(exchange)
-    drives.disable(exchange)
+    drives.disable(exchange)  # SYNC goes on until then: with it come the statuswords that show it
     exchange.end()
     link.sync_stop()
     bringup.leave(link)

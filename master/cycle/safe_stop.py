@@ -21,9 +21,11 @@ from master.network.link import LinkError
 _START_BIT = 1 << START
 _SERVO_BIT = 1 << SERVO
 _END_BIT = 1 << END
-DISABLE_NS = 120_000_000
-SLACK_NS = 100_000_000
+DISABLE_NS, SLACK_NS = 120_000_000, 100_000_000
+"""Longest wait for drives to be disabled, and before it for a slack rope and a leg at rest, ns: together less than the
+250 ms after which no drive may give torque."""
 GRACE_NS = 50_000_000
+"""Time after which `let_go` repeats its controlwords, ns: on a bus that fails the first ones may be lost."""
 SLACK_N = 5.0
 AT_REST_RAD_S = 0.2
 """Speed of a held knee from which on it is let go, rad/s: a leg coasts by less than 1 degree from there."""

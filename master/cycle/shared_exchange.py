@@ -175,6 +175,7 @@ class SharedExchange(SyncCycle):
         self._collect(sync_ns)
         for path in self.paths:
             path.latched(sync_ns)
+        # all are latched before one is checked: a path is not compared while another one of its joint lacks inputs
         for path in self.paths:
             path.guard.joint_held = any(other.inputs.missing for other in self._of_joint[path.name])
         for path in self.paths:

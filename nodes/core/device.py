@@ -150,7 +150,7 @@ class Device:
     def bus_off(self, now_ns: int) -> None:
         """Process bus-off of the CAN controller: the queue is discarded; 0x1029 and the application react."""
         self.now_ns = now_ns
-        self.outbox.clear()
+        self.outbox.clear()  # inputs that wait for the bus to recover would be old ones of later SYNCs
         self.application.communication_lost(Emcy.BUS_OFF_RECOVERED, now_ns)
         self.nmt.communication_error(now_ns)
 

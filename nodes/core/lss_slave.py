@@ -116,6 +116,7 @@ class LssSlave(Part):
     def _switch(self, configuring: bool, now_ns: int) -> None:
         self._configuring = configuring
         self._selected = self._identified = 0
+        # CiA 305: a device without a node id boots with its first one as it leaves configuration
         if not configuring and self._device.node_id == UNCONFIGURED and self.pending != UNCONFIGURED:
             self._device.nmt.initialise(False, now_ns)
 

@@ -57,7 +57,7 @@ class Nmt:
         A node without a node id stays in INITIALISING, where only LSS reaches it (CiA 305).
         """
         device = self._device
-        device.outbox.clear()
+        device.outbox.clear()  # a frame from before the reset must not follow the boot-up, which begins a new life
         self.enter(NmtState.INITIALISING, now_ns)
         device.restart(whole_node, now_ns)
         if device.node_id == UNCONFIGURED:
