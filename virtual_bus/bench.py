@@ -10,8 +10,7 @@ from typing import Protocol
 
 from eds.bench.bench_network import MASTER
 from virtual_bus.kernel import TIMER, Kernel
-from virtual_bus.wire import outages
-from virtual_bus.wire.faults import OF_A_FRAME, OF_TIME, Fault, InjectedFaults
+from virtual_bus.wire.faults import OF_A_FRAME, OF_TIME, Fault, InjectedFaults, arrange
 from virtual_bus.wire.host import Host
 from virtual_bus.wire.node_station import BusDevice, NodeStation
 from virtual_bus.wire.station import Medium
@@ -66,7 +65,7 @@ class Bench:
         }
         for station in (self.host, *self.nodes.values()):
             self.wire.attach(station)
-        outages.arrange(self.kernel, lambda: self.medium, (self.host, *self.nodes.values()), faults, self.wire.bit_ns)
+        arrange(self.kernel, lambda: self.medium, (self.host, *self.nodes.values()), faults, self.wire.bit_ns)
         self.machine = machine(self) if machine is not None else None
         self.kernel.at(0, TIMER, self._power_on)
 

@@ -48,9 +48,8 @@ from virtual_bus.machine.monitored import EnableLine, SensedPath, monitor
 from virtual_bus.machine.plugged_plant import PluggedPlant, plant_raised
 from virtual_bus.machine.scatter import DAY, Tables, scattered, stream
 from virtual_bus.machine.truth import Truth
-from virtual_bus.wire.faults import OF_A_DRIVE, OF_A_SENSOR, Fault, declared
+from virtual_bus.wire.faults import OF_A_DRIVE, OF_A_SENSOR, Fault, declared, wired
 from virtual_bus.wire.node_station import NodeStation
-from virtual_bus.wire.outages import wired
 
 PLANTS = "bowden.plants"
 OWN = {"bowden": "physics.plant:create"}

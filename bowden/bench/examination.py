@@ -36,7 +36,7 @@ def examine(network: Network, chosen: BusSettings, seconds: float) -> Iterator[D
     """Yield the findings one by one; an interface that is not fit ends them."""
     from eds.bench.bench_network import wire
     from master.network import doctor as computer
-    from master.network.bus_survey import bus as heard
+    from master.network.doctor import bus as heard
     from master.network.link import Link, LinkError
 
     interface, channel = str(chosen.arguments["interface"]), chosen.arguments.get("channel")

@@ -20,7 +20,7 @@ from parameters import InputError
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
     from bowden.trials.session import PreparedTrial
-    from master.control.repeated import RecordedTargets
+    from master.control.controller import RecordedTargets
     from trial.read import Trial
 
 ATTACHMENT = "targets.csv"
@@ -80,7 +80,7 @@ def prepared(
 
 def sent_targets(trial: Trial) -> RecordedTargets:
     """Return the targets of a trial's gait, run-in and run-out, by control cycle; raises `InputError` without them."""
-    from master.control.repeated import RecordedTargets
+    from master.control.controller import RecordedTargets
 
     walked = np.isfinite(trial.columns["gait_percent"])
     rope, knee = (trial.columns[name][walked] for name in COLUMNS)
@@ -100,7 +100,7 @@ def text(targets: RecordedTargets) -> bytes:
 
 def targets_of(attachments: Mapping[str, bytes]) -> RecordedTargets | None:
     """Return the targets that a trial repeated; None where its controller's own were sent."""
-    from master.control.repeated import RecordedTargets
+    from master.control.controller import RecordedTargets
 
     if ATTACHMENT not in attachments:
         return None

@@ -1,7 +1,7 @@
 """The complete control cycle: all inputs of one SYNC received, and nothing but SYNC, inputs, targets and heartbeats.
 
 A separate module, because the master uses it and two buses that do not import each other provide it: the simulated
-bus (`virtual_bus.compiled.compiled_cycles`) and the kernel's CAN (`master.network.kernel_cycles`).
+bus (`virtual_bus.compiled.compiled_cycles`) and the kernel's CAN (`master.network.recorded_bus`).
 """
 
 from typing import Any, NamedTuple, Protocol

@@ -1,8 +1,8 @@
 """Interface of a controller: configured for a gait and stepped once a control cycle.
 
 No controller is named here. The packaged ones are in `control.packaged`; others come by the entry-point group
-bowden.controllers or as "module:Class". Effects beyond the calibration can be compensated around any of them
-(`control.effect_correction`).
+bowden.controllers or as "module:Class". Around any of them effects beyond the calibration can be compensated
+(`control.effect_correction`), or the targets of a recorded trial repeated.
 """
 
 from __future__ import annotations
@@ -199,3 +199,31 @@ def with_effects(
         return within
     offset_n = conditions.homing.start_offset_n if kind.uses_homing_fit else model.start_offset
     return WithEffects(within, undone, offset_n)
+
+
+class RecordedTargets(NamedTuple):
+    """Targets of a recorded trial, one a control cycle from its run-in on: rope position, m, and knee angle, rad."""
+
+    rope_m: tuple[float, ...]
+    knee_rad: tuple[float, ...]
+
+
+class Repeated(Controller[State]):
+    """A controller whose targets are those of a recorded trial, whatever has changed since; its trace stays its own.
+
+    `first`: sample of the first recorded targets.
+    """
+
+    def __init__(self, within: Controller[State], targets: RecordedTargets, first: int) -> None:
+        self._within, self._targets, self._first = within, targets, first
+        self.ahead = within.ahead
+
+    def initial(self) -> State:
+        """Return the memory of the controller within."""
+        return self._within.initial()
+
+    def step(self, seen: ControllerInput, state: State) -> tuple[ControllerOutput, State, Trace]:
+        """Return the recorded targets of this sample, and the memory and trace of the controller within."""
+        _, state, trace = self._within.step(seen, state)
+        i = seen.sample - self._first
+        return ControllerOutput(self._targets.rope_m[i], self._targets.knee_rad[i]), state, trace

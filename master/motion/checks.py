@@ -14,7 +14,7 @@ from master.cycle import reception, repetition
 from master.cycle.guard import LIMITED_NS
 from master.cycle.inputs import END, KNEE, SERVO, START
 from master.cycle.safety import NOBODY, REACTIONS, Condition, Reaction
-from master.motion import agreement
+from master.motion import home
 from master.network import bus_watch
 from master.settings import Limits
 
@@ -114,15 +114,15 @@ CHECKS: Final = (
     Check("rope, second cycle", "rope position, second gait cycle", _n(repetition.TOLERANCES[4], "mm", 1e3),
           _FOUR + "repeatability of the bench", C.IMPLAUSIBLE, NOBODY,
           "test_a_slow_change_is_found_and_named_by_which_signals_moved", "rope, second cycle"),
-    Check("homing: stretch", "rope, START, END", f"factor {agreement.STRETCH:g}, {agreement.STRETCH_NOMINAL:g} for the "
+    Check("homing: stretch", "rope, START, END", f"factor {home.STRETCH:g}, {home.STRETCH_NOMINAL:g} for the "
           "packaged calibration", "session and creep change it by a tenth", C.REFUSED, NOBODY,
           "test_a_calibration_of_another_bench_is_refused_before_motion_with_both_numbers"),
-    Check("homing: rope_per_knee", "rope, knee", f"{100 * agreement.SWING:.0f} %, measured where it is more than "
-          f"{100 * agreement.SWING_UNLIKE:.0f} % from the packaged one", "levers of knees", C.REFUSED, NOBODY,
+    Check("homing: rope_per_knee", "rope, knee", f"{100 * home.SWING:.0f} %, measured where it is more than "
+          f"{100 * home.SWING_UNLIKE:.0f} % from the packaged one", "levers of knees", C.REFUSED, NOBODY,
           "test_a_calibration_of_another_bench_is_refused_before_motion_with_both_numbers"),
-    Check("homing: START by END", "START, END", f"factor {math.exp(agreement.CENTRE):.2f} in the middle",
+    Check("homing: START by END", "START, END", f"factor {math.exp(home.CENTRE):.2f} in the middle",
           "friction cancels out", C.REFUSED, NOBODY, "test_every_row_keeps_its_bounds"),
-    Check("homing: servo force", "servo force, START", f"{agreement.FORCE_RMS_N:g} N rms",
+    Check("homing: servo force", "servo force, START", f"{home.FORCE_RMS_N:g} N rms",
           "friction and inertia fitted", C.REFUSED, NOBODY, "test_every_row_keeps_its_bounds"),
     Check("inputs too old", "PDOs", f"{_L.stale_cycles} cycles in a row (`limits.stale_cycles`)", "bench.toml", C.STALE,
           START, "test_start_stale_for_n_cycles_stops_after_n"),

@@ -18,11 +18,10 @@ from eds.bench.bench_network import Network
 from estimation.transfer.homing_fit import HomingFit
 from master import settings
 from master.control import controller, gait_phase
-from master.control.controller import Conditions, Controller, ControllerInput
+from master.control.controller import Conditions, Controller, ControllerInput, RecordedTargets, Repeated
 from master.control.effect_correction import Effects, calibrated, correction
 from master.control.extended import TARGET_CYCLES
 from master.control.gait_table import GaitTable, samples_of, tabulate
-from master.control.repeated import RecordedTargets, Repeated
 from master.control.stability import derated
 from master.cycle import drives
 from master.cycle.exchange import Exchange

@@ -2,7 +2,8 @@
 
 After homing x = x1(F) + k2·(θk − θk(13 %)) holds. (10) is a fit through pulling and releasing, so the zero comes from
 the middle of a friction loop, never from one side of it. The rope is pulled through the preload, on to the point from
-which the release slides again, and back through the preload.
+which the release slides again, and back through the preload. Before anything faster moves, the result is compared with
+the calibration, and the sensors with each other; what disagrees is refused with both numbers.
 """
 
 from __future__ import annotations
@@ -18,12 +19,80 @@ from estimation.transfer.homing_fit import HomingFit, adapt
 from master.cycle import drives
 from master.cycle.exchange import NEEDED, Exchange
 from master.cycle.inputs import Inputs
-from master.motion import agreement, moves
+from master.cycle.plausibility import HomingBaseline
+from master.motion import moves
 from master.network.bringup import BringUpError
 from master.network.sdo import SdoError
 from master.settings import Homing
 from physics import laws, stretch
-from physics.calibration import Calibration
+from physics.calibration import NOMINAL, Calibration, nominal
+
+STRETCH: Final = 1.6
+"""Greatest ratio between homing's stretch and an identified bench's: day and creep change it by a tenth."""
+STRETCH_NOMINAL: Final = 2.5
+"""Largest ratio of stretches for the packaged calibration, which belongs to no bench."""
+STRETCH_GUESSED: Final = 5.0
+"""Largest ratio of stretches for a bench about to be identified: 5 to 25 mm at 60 N are usual benches, a unit that is
+wrong by a factor of ten is outside."""
+CENTRE: Final = 0.45
+"""|mean of ln(START/END)| of pull and release, zero by friction alone; ln 2 is a gain of two."""
+FORCE_RMS_N: Final = 6.0
+PACKAGED_ROPE_PER_KNEE: Final = nominal().rope_per_knee
+"""Rope per knee angle, m/rad, of a human-sized knee: the packaged calibration's rope_per_knee."""
+SWING_UNLIKE: Final = 0.25
+"""Relative departure from `PACKAGED_ROPE_PER_KNEE` beyond which homing measures it; usual benches stay within 0.15."""
+SWING: Final = 0.2
+"""Greatest relative difference between homing's rope_per_knee and a calibration's."""
+
+
+def unlike_packaged(calibration: Calibration) -> bool:
+    """Return whether the calibration's lever is so unusual that homing must measure it first."""
+    return abs(calibration.rope_per_knee / PACKAGED_ROPE_PER_KNEE - 1.0) > SWING_UNLIKE
+
+
+def refuse_swing(calibration: Calibration, found: float) -> None:
+    """Raise `BringUpError`, with both numbers, if homing `found` a rope_per_knee, m/rad, unlike the calibration's."""
+    if abs(found / calibration.rope_per_knee - 1.0) > SWING:
+        raise BringUpError(
+            f"calibration {calibration.label}: its rope_per_knee is {calibration.rope_per_knee:.4f} m/rad, homing "
+            f"found {found:.4f} m/rad; identify this bench (bowden identify all) and start again.")
+
+
+def refuse_disagreement(exchange: Exchange, calibration: Calibration, *, guessed: bool = False) -> None:
+    """Take over the results of homing; raises `BringUpError` if they disagree with the calibration.
+
+    A `guessed` calibration is about to be measured: its stretch may be another bench's.
+    """
+    learned = exchange.plausibility.learn(calibration.stiffness_a, calibration.stiffness_b)
+    sentence = disagreement(learned, calibration, guessed=guessed) or among_sensors(learned)
+    if sentence is not None:
+        raise BringUpError(sentence)
+
+
+def disagreement(learned: HomingBaseline, calibration: Calibration, *, guessed: bool = False) -> str | None:
+    """Return a sentence if homing's stretch differs from the calibration's, with both numbers; None if it agrees."""
+    known = STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
+    ratio, most = learned.stretch_ratio, STRETCH_GUESSED if guessed else known
+    if ratio < 1.0 / most or ratio > most:
+        top = learned.top_n
+        declared = 1e3 * (calibration.stiffness_b * 0.75 * top + calibration.stiffness_a * 0.9375 * top**2)
+        return (f"calibration {calibration.label}: its rope and fabric stretch by {declared:.2f} mm from "
+                f"{0.25 * top:.3g} to {top:.3g} N, homing found {ratio * declared:.2f} mm; identify this bench (bowden "
+                "identify all) and start again.")
+    return None
+
+
+def among_sensors(learned: HomingBaseline) -> str | None:
+    """Return a sentence if the sensors contradict each other beyond friction, with both numbers; None otherwise."""
+    centre = 0.5 * (learned.low + learned.high)
+    if learned.low and learned.high and abs(centre) > CENTRE:
+        return (f"homing: pulled and released, START is {100.0 * 2.718281828 ** centre:.0f} % of END in the middle, "
+                "where friction leaves 100 %; check the scaling of both sensors (0x6126) and tare them.")
+    if learned.force_rms_n > FORCE_RMS_N:
+        return (f"homing: the servo's force and START disagree by {learned.force_rms_n:.1f} N rms beyond friction and "
+                f"inertia, expected below {FORCE_RMS_N:g} N; check START's scaling (0x6126) and the servo's torque.")
+    return None
+
 
 SLACK_N = 1.0
 REST_S = 0.2
@@ -88,14 +157,14 @@ def home(
     tighten, the loop has no crossing, or homing contradicts the calibration or itself.
     """
     knee_home = float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
-    agreement.begin(exchange, calibration, knee_home)
+    exchange.plausibility.begin_learning(calibration.rope_per_knee, knee_home, calibration.cable_compliance)
     swing_to(exchange, knee_home, calibration, homing)
     reading = slack_reading(exchange)
     pulled, released = _loop(exchange, homing)
     at = [crossing(rows, start_gain * calibration.home_preload) for rows in (pulled, released)]
-    if agreement.unlike_packaged(calibration) and not guessed:
+    if unlike_packaged(calibration) and not guessed:
         _refuse_other_swing(exchange, calibration, homing, sum(at) / 2.0, start_gain)
-    agreement.refuse_disagreement(exchange, calibration, guessed=guessed)
+    refuse_disagreement(exchange, calibration, guessed=guessed)
     shift = float(stretch.position(calibration, calibration.home_preload)) - 0.5 * (at[0] + at[1])
     moves.move(exchange, exchange.targets[0] - slack_m, knee_home, homing.rope_m_s, homing.knee_rad_s)
     inputs = moves.settle(exchange, REST_S)
@@ -197,10 +266,10 @@ def _refuse_other_swing(
     The knee turns in the direction in which a wrong rope_per_knee makes the rope looser than it should be.
     """
     knee = exchange.targets[1]
-    away = knee + math.copysign(SWING_CHECK_RAD, agreement.PACKAGED_ROPE_PER_KNEE - calibration.rope_per_knee)
+    away = knee + math.copysign(SWING_CHECK_RAD, PACKAGED_ROPE_PER_KNEE - calibration.rope_per_knee)
     swing_to(exchange, away, calibration, homing)
     at = [crossing(rows, start_gain * calibration.home_preload) for rows in _loop(exchange, homing)]
-    agreement.refuse_swing(calibration, (sum(at) / 2.0 - at_home_m) / (away - knee))
+    refuse_swing(calibration, (sum(at) / 2.0 - at_home_m) / (away - knee))
     swing_to(exchange, knee, calibration, homing)
 
 

@@ -10,7 +10,7 @@ from eds import dictionary
 from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from eds.dictionary import PACKAGED, Dictionary, key, packaged
 from eds.files.notation import number
-from master.network.bus_survey import LISTEN_NS
+from master.network.doctor import LISTEN_NS
 from master.network.link import Link
 from master.network.sdo import SdoError
 from master.node_access.remote_node import MASTER, NodeAccess, state_name

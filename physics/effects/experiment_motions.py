@@ -1,7 +1,7 @@
 """Motions of an experiment as data: motion of a bench's rope and knee, and the expected observation.
 
-A motion starts from the last targets and is led at a stated speed. `master.motion.scripted_motions` runs motions on a
-bench; `diagnosis.evidence.experiment_prediction` simulates the observation from the waypoints.
+A motion starts from the last targets and is led at a stated speed. `master.motion.scripted_experiments` runs motions
+on a bench; `diagnosis.evidence.experiment_prediction` simulates the observation from the waypoints.
 """
 
 from __future__ import annotations

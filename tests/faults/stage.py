@@ -30,7 +30,7 @@ from tests.faults.argument import LYING_TENSION, UnsafeAction
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
 from virtual_bus.kernel import TIMER
-from virtual_bus.wire import outages
+from virtual_bus.wire import faults as wire_faults
 from virtual_bus.wire.faults import OF_A_FRAME, OF_A_NODE, OF_TIME, Fault, InjectedFaults
 from virtual_bus.wire.station import Station
 
@@ -113,11 +113,11 @@ class Scene(NamedTuple):
         if kind in OF_A_FRAME | OF_TIME:
             bench.wire._judge = InjectedFaults([fault], SEED)
         elif kind in OF_A_NODE | {"babble"}:
-            outages.arrange(bench.kernel, lambda: bench.medium, (bench.host, *bench.nodes.values()), [fault],
-                            bench.wire.bit_ns)
+            wire_faults.arrange(bench.kernel, lambda: bench.medium, (bench.host, *bench.nodes.values()), [fault],
+                                bench.wire.bit_ns)
             for machine in getattr(bench.machine, "machines", (bench.machine,)):
                 if fault.node in machine.felt:
-                    outages.wired(bench.kernel, [fault], machine.trouble)
+                    wire_faults.wired(bench.kernel, [fault], machine.trouble)
 
 
 @dataclass

@@ -101,7 +101,7 @@ class Machine:
         self._servo = servo
         self._knee = knee
         self._leader = knee if isinstance(knee, Machine) else None
-        self._gauges, self._observers = tuple(gauges), tuple(observers)
+        self.gauges, self._observers = tuple(gauges), tuple(observers)
         self._encoder, self._hand = encoder, hand
         self._servo_nm = 0.0
         self._knee_nm = 0.0
@@ -114,7 +114,7 @@ class Machine:
     def start(self) -> None:
         """Schedule the first tick and the first samples now."""
         self._tick_ns = self._kernel.now_ns
-        self._sample_ns = [self._kernel.now_ns] * len(self._gauges)
+        self._sample_ns = [self._kernel.now_ns] * len(self.gauges)
         self._kernel.at(self._tick_ns, TICK, self._act)
 
     def trouble(self, fault: Fault, there: bool) -> None:
@@ -163,14 +163,9 @@ class Machine:
     @property
     def felt(self) -> frozenset[int | None]:
         """Return the node ids of the devices that act on this machine or measure it."""
-        stations = [*(axis.station for axis in self.axes), *(gauge.station for gauge in self._gauges),
+        stations = [*(axis.station for axis in self.axes), *(gauge.station for gauge in self.gauges),
                     *(observer.station for observer in self._observers)]
         return frozenset(station.node for station in stations)
-
-    @property
-    def gauges(self) -> tuple[Gauge, ...]:
-        """Return the tension sensors."""
-        return self._gauges
 
     def close(self) -> None:
         """Finish the truth file."""
@@ -186,7 +181,7 @@ class Machine:
         next_ns = self._tick_ns
         for place, due_ns in enumerate(self._sample_ns):
             if due_ns == now_ns:
-                due_ns = self._sample_ns[place] = now_ns + self._sample(self._gauges[place], now_ns, felt)
+                due_ns = self._sample_ns[place] = now_ns + self._sample(self.gauges[place], now_ns, felt)
             if due_ns < next_ns:
                 next_ns = due_ns
         self._kernel.at(next_ns, TICK, self._act)

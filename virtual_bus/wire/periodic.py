@@ -37,34 +37,30 @@ class PeriodicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, Re
         self._send = send
         self._modifier = modifier
         self._touched = touched
-        self._next_ns = NEVER
+        self.next_ns = NEVER
+        """Bus time of the next transmission, ns; `NEVER` while the task is stopped."""
         self._stop_ns = NEVER
         self._turn = 0
 
     def start(self) -> None:
         """Begin at the next multiple of the period, now included; goes on where it runs already."""
         self._touched()
-        if self._next_ns != NEVER:
+        if self.next_ns != NEVER:
             return
         now_ns = self._kernel.now_ns
         self._turn = 0
         self._stop_ns = NEVER if self.duration is None else now_ns + round(self.duration * 1e9)
-        self._sleep(-(-now_ns // self.period_ns) * self.period_ns)
+        self.go_on(-(-now_ns // self.period_ns) * self.period_ns)
 
     def stop(self) -> None:
         """Stop sending; `start` begins again."""
         self._touched()
-        self._next_ns = NEVER
+        self.next_ns = NEVER
 
     def modify_data(self, messages: Sequence[can.Message] | can.Message) -> None:
         """Change the data of the messages; identifiers stay."""
         self._touched()
         super().modify_data(messages)
-
-    @property
-    def next_ns(self) -> int:
-        """Bus time of the next transmission, ns; `NEVER` while the task is stopped."""
-        return self._next_ns
 
     @property
     def sync(self) -> bool:
@@ -73,22 +69,19 @@ class PeriodicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, Re
         return not more and self._modifier is None and self._stop_ns == NEVER and message.arbitration_id == SYNC \
             and not (message.is_extended_id or message.is_remote_frame or message.dlc or message.data)
 
-    def go_on(self, next_ns: int) -> None:
-        """Continue the transmissions from `next_ns`, after compiled cycles took over their events."""
-        self._sleep(next_ns)
-
-    def _sleep(self, until_ns: int) -> None:
-        self._next_ns = until_ns if until_ns < self._stop_ns else NEVER
-        if self._next_ns != NEVER:
+    def go_on(self, until_ns: int) -> None:
+        """Schedule the next transmission, also after compiled cycles took over the events of this task."""
+        self.next_ns = until_ns if until_ns < self._stop_ns else NEVER
+        if self.next_ns != NEVER:
             self._kernel.at(until_ns, TIMER, self._due)
 
     def _due(self) -> None:
         now_ns = self._kernel.now_ns
-        if now_ns != self._next_ns:
+        if now_ns != self.next_ns:
             return  # stopped since
         message = self.messages[self._turn]
         self._turn = (self._turn + 1) % len(self.messages)
         if self._modifier is not None:
             self._modifier(message)
         self._send(message)
-        self._sleep(now_ns + self.period_ns)
+        self.go_on(now_ns + self.period_ns)

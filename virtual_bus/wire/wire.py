@@ -1,9 +1,11 @@
 """The wire: arbitration, bit times, acknowledge, error frames, fault confinement (ISO 11898-1).
 
-The rule of this file: one frame at a time. A frame starts when the wire is idle and something is
-ready, lasts its exact bits, and is received by everyone in the same nanosecond, at its end.
+One frame at a time. A frame starts when the wire is idle and something is ready, lasts its exact bits, and is received
+by everyone in the same nanosecond, at its end. Of the frames that contend, the smallest arbitration key wins; frames of
+equal key from one station keep their order.
 """
 
+from heapq import heapify, heappop, heappush
 from typing import Protocol
 
 from eds.cia301 import Frame
@@ -14,11 +16,96 @@ from virtual_bus.wire.bits import (
     INTERMISSION_BITS,
     RECOVERY_BITS,
     SUSPEND_BITS,
+    arbitration,
     first_difference,
     frame_bits,
 )
-from virtual_bus.wire.contention import Contention
 from virtual_bus.wire.station import EXTENDED, Confinement, Deliver, ErrorKind, Station, Waiting
+
+
+class Contention:
+    """The queues of all stations of one wire as two heaps: future frames, and frames that contend now."""
+
+    __slots__ = ("_coming", "_serial", "contending")
+
+    def __init__(self) -> None:
+        self._coming: list[tuple[int, int, Waiting]] = []
+        self.contending: list[Waiting] = []
+        self._serial = 0
+
+    def add(self, station: Station, frame: Frame, ready_ns: int, origin: object) -> None:
+        """Add `frame` to the arbitration from `ready_ns` on."""
+        serial = self._serial
+        self._serial = serial + 1
+        station.waiting += 1
+        heappush(self._coming, (ready_ns, serial, (arbitration(frame), serial, station, frame, origin)))
+
+    def take(self, now_ns: int) -> Waiting | None:
+        """Remove and return the winner of an arbitration at `now_ns`, `None` where nobody may send."""
+        coming, contending = self._coming, self.contending
+        while coming and coming[0][0] <= now_ns:
+            entry = heappop(coming)[2]
+            station = entry[2]
+            if station.fifo and station.contending:
+                station.backlog.append(entry)
+            else:
+                station.contending += 1
+                heappush(contending, entry)
+        if not contending:
+            return None
+        if contending[0][2].resume_ns <= now_ns:
+            return heappop(contending)
+        free = [entry for entry in contending if entry[2].resume_ns <= now_ns]
+        if free:
+            contending.remove(min(free))
+            heapify(contending)
+        return min(free, default=None)
+
+    def rivals(self, winner: Waiting, now_ns: int) -> list[Waiting]:
+        """Remove and return the frames of other stations that are equal to the winner's in arbitration."""
+        contending = self.contending
+        first: dict[Station, Waiting] = {winner[2]: winner}
+        for entry in sorted(contending):
+            if entry[0] == winner[0] and entry[2].resume_ns <= now_ns:
+                first.setdefault(entry[2], entry)
+        del first[winner[2]]
+        for entry in first.values():
+            contending.remove(entry)
+        heapify(contending)
+        return list(first.values())
+
+    def again(self, entry: Waiting) -> None:
+        """Add a frame to the arbitration again after an error frame."""
+        heappush(self.contending, entry)
+
+    def follow(self, station: Station) -> None:
+        """Move the station's next waiting frame into the arbitration, after one of its frames was sent."""
+        if station.backlog:
+            self.again(station.backlog.popleft())
+        else:
+            station.contending -= 1
+
+    def next_ns(self, idle_ns: int) -> int:
+        """Return the time of the next arbitration, ns, not before `idle_ns`; `NEVER` if no frame waits."""
+        ready = self._coming[0][0] if self._coming else NEVER
+        if self.contending:
+            if self.contending[0][2].resume_ns <= idle_ns:
+                return idle_ns
+            ready = min(ready, min(entry[2].resume_ns for entry in self.contending))
+        return ready if ready > idle_ns else idle_ns
+
+    def withdraw(self, station: Station) -> list[Waiting]:
+        """Remove the station's queue; return its frames in their order."""
+        entries = [entry for entry in self.contending if entry[2] is station]
+        entries += [*station.backlog, *(entry for _, _, entry in self._coming if entry[2] is station)]
+        self._coming = [coming for coming in self._coming if coming[2][2] is not station]
+        self.contending = [entry for entry in self.contending if entry[2] is not station]
+        heapify(self._coming)
+        heapify(self.contending)
+        station.backlog.clear()
+        station.waiting = station.contending = 0
+        return sorted(entries, key=lambda entry: entry[1])
+
 
 TO_ACKNOWLEDGE_BITS = -8
 """Bits from the end of a frame back to the end of its acknowledge slot, where a missing acknowledge is flagged."""
@@ -58,7 +145,8 @@ class Wire:
         self._error = ErrorKind.BIT
         self._busy = False
         self._start_ns = NEVER
-        self._idle_ns = 0
+        self.idle_ns = 0
+        """Bus time, ns, from which on a frame may start."""
         self._participants = 0
         self._hurt = False
 
@@ -113,14 +201,9 @@ class Wire:
         """Return the time up to which no fault affects a frame: at most `NEVER`, not after `now_ns` during a fault."""
         return NEVER if self._judge is None else self._judge.quiet_until(now_ns)
 
-    @property
-    def idle_ns(self) -> int:
-        """Return the bus time, ns, from which on a frame may start."""
-        return self._idle_ns
-
     def carried(self, frames: int, busy_bits: int, idle_ns: int) -> None:
         """Add the frames and bits of a compiled cycle; set the time from which on a frame may start."""
-        self.frames, self.busy_bits, self._idle_ns = frames, busy_bits, idle_ns
+        self.frames, self.busy_bits, self.idle_ns = frames, busy_bits, idle_ns
 
     # -- sending -----------------------------------------------------------------------------------
 
@@ -142,7 +225,7 @@ class Wire:
         station.waiting = station.contending = sum(entry[2] is station for entry in self._senders)
 
     def _plan(self, ready_ns: int) -> None:
-        start_ns = ready_ns if ready_ns > self._idle_ns else self._idle_ns
+        start_ns = ready_ns if ready_ns > self.idle_ns else self.idle_ns
         if start_ns < self._start_ns:
             self._start_ns = start_ns
             self._kernel.at(start_ns, START, self._start)
@@ -197,7 +280,7 @@ class Wire:
         senders, heard = self._senders, self._heard
         self._senders = []
         self._busy = False
-        self._idle_ns = now_ns + self._gap_ns
+        self.idle_ns = now_ns + self._gap_ns
         self.frames += 1
         if self._hurt:
             self._count(None, senders, now_ns)
@@ -222,7 +305,7 @@ class Wire:
         senders = self._senders
         self._senders = []
         self._busy = False
-        self._idle_ns = now_ns + self._gap_ns
+        self.idle_ns = now_ns + self._gap_ns
         self.errors += 1
         for entry in senders:
             self._queue.again(entry)
@@ -233,7 +316,7 @@ class Wire:
         self._plan_next()
 
     def _plan_next(self) -> None:
-        start_ns = self._queue.next_ns(self._idle_ns)
+        start_ns = self._queue.next_ns(self.idle_ns)
         if start_ns < self._start_ns:
             self._start_ns = start_ns
             self._kernel.at(start_ns, START, self._start)
@@ -251,7 +334,7 @@ class Wire:
                 station.count_error(error, station in sending)
             self._confine(station, now_ns)
             if station in sending and station.state is Confinement.PASSIVE:
-                station.resume_ns = self._idle_ns + SUSPEND_BITS * self.bit_ns
+                station.resume_ns = self.idle_ns + SUSPEND_BITS * self.bit_ns
         self._hurt = any(station.tec or station.rec for station in self.stations)
 
     def _confine(self, station: Station, now_ns: int) -> None:

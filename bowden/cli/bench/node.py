@@ -448,7 +448,7 @@ def _node(name: str, reached: Bus, eds: Path | None, *, force: bool = False,
 
 def refuse_other_master(link: Link, force: bool) -> None:
     """Raise `InputError` while another master is on the bus, unless `force`."""
-    from master.network.bus_survey import other_master
+    from master.network.doctor import other_master
 
     if not force and (seen := other_master(link)):
         raise InputError(f"another master runs this bus: {seen}; stop it, or add --force.")

@@ -34,8 +34,7 @@ def guard(
 
     Example: bowden node guard 1 --for 1 || true
     """
-    from master.network.node_guard import NodeGuard
-    from master.node_access.remote_node import state_name
+    from master.node_access.remote_node import NodeGuard, state_name
 
     node_id = node_id_of(name, reached)
     events: list[dict[str, object]] = []
