@@ -217,7 +217,7 @@ def prepare(
             raise InputError(f"--dry-run moves nothing, so --experiment {script} would tell nothing; leave one out.")
     cycles = sections["walk"].strides or gait.cycles
     if gait.settle >= cycles:
-        raise InputError(f"--settle {gait.settle} leaves none of {cycles} cycles; give more cycles.")
+        raise InputError(f"--settle {gait.settle} leaves none of {cycles} cycles; give more cycles or --settle 0.")
     walk = sections["walk"]
     walking = walk.differs
     if walking and (script is not None or force_paths.several(sections["network"].bench)):

@@ -100,7 +100,8 @@ def settle(m: Array, p: PlantParameters) -> None:
         start = getattr(SLOT, name)
         m[start : start + (ELEMENTS if name == "tension" else NODES + 2)] = 0.0
     m[SLOT.leg_q] = m[SLOT.motor_q] = p.start_knee_rad
-    hung = anchor(p.rope_per_knee, p.rope_per_knee_quadratic, p.start_knee_rad)
+    hung = anchor.py_func(  # numba would compile it for this one call, in every process
+        p.rope_per_knee, p.rope_per_knee_quadratic, p.start_knee_rad)
     m[SLOT.x : SLOT.x + NODES + 2] = hung
     m[SLOT.servo_x] = hung + p.slack_m - p.start_slack_m
     m[SLOT.bus_v] = p.supply_v

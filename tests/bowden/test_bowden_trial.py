@@ -104,6 +104,16 @@ def test_nothing_of_the_truth_is_in_the_trial(recorded: tuple[Path, dict[str, An
     assert path.with_name("one.truth.mcap").exists()
 
 
+def test_a_trial_imports_no_library_that_it_does_not_use(tmp_path: Path) -> None:
+    code = "import sys; from bowden.cli.app import run; run(sys.argv[1:]); print(*sys.modules, file=sys.stderr)"
+    words = ("trial", "--cycles", 1, "--settle", 0, "--json", "-o", "one.mcap")
+    told = subprocess.run([sys.executable, "-c", code, *map(str, words)], cwd=tmp_path, capture_output=True, text=True,
+                          check=True)
+    spared = {"asammdf", "matplotlib", "pandas", "pyarrow", "rich", "scipy.linalg"}
+    assert json.loads(told.stdout)["outcome"] == "completed"
+    assert spared & set(told.stderr.split()) == set()
+
+
 @pytest.mark.exhaustive
 def test_one_seed_one_file_in_any_process(tmp_path: Path) -> None:
     short = ("trial", "--cycles", 1, "--settle", 0, "--period", 1.1, "--json")

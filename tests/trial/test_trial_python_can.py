@@ -165,7 +165,7 @@ def test_a_trial_loads_python_can_without_pandas_and_mdf_frames_are_still_read(t
     pytest.importorskip("asammdf")
     log = tmp_path / "bus.mf4"
     script = (
-        "import sys; from bowden.bench import light_can; light_can.load(); import can\n"
+        "import sys; from bowden.bench import light_imports; light_imports.load(); import can\n"
         "assert 'can' in sys.modules and 'pandas' not in sys.modules and 'asammdf' not in sys.modules\n"
         "from trial.convert.python_can import _mdf_reader, read_log\n"
         "reader = _mdf_reader(); writer = sys.modules['can.io.mf4'].MF4Writer(sys.argv[1])\n"

@@ -43,10 +43,12 @@ def trial(
 
     Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
-    from bowden.bench import configuration, light_can
+    from bowden.bench import light_imports
+
+    light_imports.load()
+    from bowden.bench import configuration
     from bowden.trials import provenance, repeated_motion, session
 
-    light_can.load()
     output_files.refuse_ending(output, ".mcap", what="a trial")
     output_files.refuse_picture(picture)
     own = {"--knee": knee, "--desired": desired, "--calibration": calibration, "--controller-model": controller_model}
