@@ -41,15 +41,17 @@ class Finder:
 
     `calibration`: file or tables of the bench's calibration (None: the calibration attached to the trials, if any).
     `lowpass`: cut-off, Hz, of the zero-phase low-pass that every signal first passes.  `session_sd`: 1σ of each
-    constant between sessions, from a logbook (None: the published one).
+    constant between sessions, from a logbook (None: the published one).  `own_effects`: names of effects of files that
+    compete beside those of the catalogue (`physics.effects.own_effects`).
 
     Effects compete by evidence (`diagnosis.evidence`).  Without reference trials a bench is compared with the bench
     population and its calibration; a rig of another kind is refused.
     """
 
     def __init__(self, calibration: str | Path | Mapping[str, Any] | None = None, lowpass: float | None = None,
-                 session_sd: Mapping[str, float] | None = None) -> None:
+                 session_sd: Mapping[str, float] | None = None, own_effects: Sequence[str] = ()) -> None:
         self.calibration, self.lowpass, self.session_sd = _calibration(calibration), lowpass, session_sd
+        self.own_effects = own_effects
         self._reversed = False
         self._read: list[Table] = []
         self._findings: list[integrity.Finding] = []
@@ -83,7 +85,7 @@ class Finder:
         if self._healthy:
             simulable, sign = oriented([self._locked(t) for t in self._healthy])
             self._reversed = sign < 0
-            self._bench = EvidenceFinder(simulable, self.session_sd)
+            self._bench = EvidenceFinder(simulable, self.session_sd, own_effects=self.own_effects)
         return self
 
     def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = (), *, terms: bool = False) -> Findings:
@@ -174,7 +176,8 @@ class Finder:
         if not can_be_of_bench(every):
             return NO_REFERENCE.format(every[0].source)
         self._reversed = oriented(every[:1])[1] < 0
-        self._bench = EvidenceFinder([], self.session_sd, calibration=self._known(groups[0]))
+        self._bench = EvidenceFinder([], self.session_sd, calibration=self._known(groups[0]),
+                                    own_effects=self.own_effects)
         return ""
 
     def _usable(self, given: Table) -> Table:

@@ -27,10 +27,11 @@ from physics.effects.own_effects import OwnEffect
 from physics.laws import Array
 
 
-def with_own_effects(model: ForwardModel) -> ForwardModel:
-    """Return the bench's model with all effects of files and installed packages; any other model as it is."""
-    own_effects.installed()
-    return OwnEffectsModel(model, list(own_effects.OWN.values())) if own_effects.OWN and isinstance(
+def with_own_effects(model: ForwardModel, names: Sequence[str] = ()) -> ForwardModel:
+    """Return the bench's model with the own effects `names` and those of installed packages; any other model as it is.
+    """
+    own = dict.fromkeys([*own_effects.installed(), *names])
+    return OwnEffectsModel(model, [own_effects.OWN[name] for name in own]) if own and isinstance(
         model, PathModel) else model
 
 

@@ -27,9 +27,9 @@ class Diagnosis:
     """Diagnosis of trials of one bench, with the interface of a scikit-learn estimator.
 
     `model`: the identified bench model, or its calibration.toml (None: the one attached to each trial). `lowpass_hz`:
-    cut-off of the zero-phase low-pass put on every signal first. `path`: force path of trials of
-    several, or joint of tables whose columns are `<joint>.<header>`. `effects`: files of effects of your own; they stay
-    in the catalogue of this process.
+    cut-off of the zero-phase low-pass put on every signal first. `path`: force path of trials of several, or joint of
+    tables whose columns are `<joint>.<header>`. `effects`: files of effects of your own, which compete in this
+    diagnosis alone.
     """
 
     def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, path: str | None = None,
@@ -37,11 +37,10 @@ class Diagnosis:
         from diagnosis.finder import Finder
         from physics.effects import own_effects
 
-        own_effects.read_each(effects)
-
         self.model = None if model is None else model_files.given(model)
         known = None if self.model is None else dataclasses.replace(self.model, effects={}, found={})
-        self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz)
+        self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz,
+                              own_effects=own_effects.read_each(effects))
         self._measured, self._path = known is not None, path
 
     def fit(self, healthy: Given | Iterable[Given]) -> Diagnosis:

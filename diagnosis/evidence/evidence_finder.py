@@ -39,12 +39,14 @@ class EvidenceFinder:
     """Diagnosis of one bench by evidence; the reference trials are fitted once for each set of outputs."""
 
     def __init__(self, reference: Sequence[Table], session_sd: Mapping[str, float] | None = None,
-                 model: ForwardModel = PATH_MODEL, calibration: Mapping[str, Any] | None = None) -> None:
+                 model: ForwardModel = PATH_MODEL, calibration: Mapping[str, Any] | None = None,
+                 own_effects: Sequence[str] = ()) -> None:
         """Store the reference trials.  Without one, bench population and `calibration` are the reference condition.
 
-        `session_sd`: 1σ between sessions by constant, in coordinates (None: the published one).
+        `session_sd`: 1σ between sessions by constant, in coordinates (None: the published one).  `own_effects`: names
+        of a user's effects that compete beside those of the catalogue.
         """
-        self.model = with_own_effects(model)
+        self.model = with_own_effects(model, own_effects)
         self._tables, self._calibration = reference, calibration
         self._session_sd = session_sd
         self._fits: dict[tuple[str, ...], ReferenceFit] = {}

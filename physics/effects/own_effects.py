@@ -2,7 +2,8 @@
 
 The constant changes by size·expression, relative to it or in its unit (`physics.effects.carriers`); `docs/laws.md` has
 an example.  In place of `expression` a `modulation` of `physics.terms` may stand, which the simulated bench follows,
-too.  Such an effect is in the catalogue like a packaged one; a diagnosis that names it writes a term.
+too.  Such an effect is in the catalogue like a packaged one; it competes in the diagnoses that are given its name, that
+of an installed package in all.  A diagnosis that names it writes a term.
 """
 
 from __future__ import annotations
@@ -84,19 +85,18 @@ def read(path: str | Path) -> list[str]:
     return list(made)
 
 
-def read_each(paths: Iterable[str | Path]) -> None:
-    """Add the effects of several files to the catalogue; raises `InputError` as `read` does."""
-    for path in paths:
-        read(path)
+def read_each(paths: Iterable[str | Path]) -> list[str]:
+    """Add the effects of several files to the catalogue, and return their names; raises `InputError` as `read` does."""
+    return [name for path in paths for name in read(path)]
 
 
 @cache
-def installed() -> None:
-    """Read the effect files of installed packages, once; raises `InputError` for one that is unusable."""
+def installed() -> list[str]:
+    """Read the effect files of installed packages, once; returns their effects' names, raises `InputError` as `read`.
+    """
     from importlib.metadata import entry_points
 
-    for entry in entry_points(group=GROUP):
-        read(plugin("effects", entry.name, GROUP, {})())
+    return read_each(plugin("effects", entry.name, GROUP, {})() for entry in entry_points(group=GROUP))
 
 
 def _declared(name: str, row: Any, where: str) -> OwnEffect:

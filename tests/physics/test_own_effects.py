@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from estimation.own_effects_model import with_own_effects
+from estimation.path_model import PATH_MODEL
 from parameters import InputError
 from physics import expressions
 from physics.effects import catalogue, own_effects
@@ -97,3 +99,11 @@ def test_a_promoted_law_is_a_file_of_effects(tmp_path: Path) -> None:
     file = tmp_path / "own.toml"
     file.write_text(own_effects.promoted(found), encoding="utf-8")
     assert own_effects.read(file) == ["end_gain_saturation", "end_offset_time_sine", "zero_knee_bump"]
+
+
+def test_an_effect_competes_only_where_it_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "own.toml"
+    file.write_text(FILE, encoding="utf-8")
+    (name,) = own_effects.read(file)
+    assert name in with_own_effects(PATH_MODEL, [name]).hypotheses
+    assert with_own_effects(PATH_MODEL) is PATH_MODEL

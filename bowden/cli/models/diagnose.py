@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import textwrap
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -86,7 +86,7 @@ def diagnose(
         _leave_out(given, given, "--plan is before any trial")
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [])
     chosen = _trials(trials, asked, given)
-    own_effects.read_each(effects or [])
+    own = own_effects.read_each(effects or [])
     if each:
         return _each(chosen, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers))
     output_files.refuse([output, report], overwrite=overwrite, inputs=[
@@ -106,7 +106,7 @@ def diagnose(
         calibration = force_paths.file_of(calibration, path)
     with terminal.progress("diagnosing") as step:
         found = _diagnosed(chosen, path, calibration, healthy or [], holdout or [], lowpass, output, report, tracked,
-                           step, figures, deviations, overwrite=overwrite, terms=terms)
+                           step, figures, deviations, overwrite=overwrite, terms=terms, own=own)
     result = found.as_json() | ({} if path is None else {"path": path}) | {"seconds": time.perf_counter() - began}
     if logbook is not None and found.verdict != "refused":
         from bowden.models import logbook_entries
@@ -202,7 +202,7 @@ def _diagnosed(
     trials: list[Path], path: str | None, calibration: Path | None, healthy: list[Path], holdout: list[Path],
     lowpass: float | None, output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None,
     step: Callable[[float, str], None], figures: Path | None, deviations: dict[str, float] | None, *, overwrite: bool,
-    terms: bool,
+    terms: bool, own: Sequence[str] = (),
 ) -> Findings:
     """Diagnose, and write the requested files; a refused diagnosis writes nothing."""
     from bowden.models import diagnosing
@@ -215,7 +215,7 @@ def _diagnosed(
         step(READING * done / len(files), f"reading {file.name}")
         groups[group].append(diagnosing.table_of(file, path))
     step(READING, "fitting the healthy trials" if healthy else "preparing")
-    finder = Finder(calibration, lowpass, deviations).examine(groups[1])
+    finder = Finder(calibration, lowpass, deviations, own).examine(groups[1])
     step(SEARCHING, "fitting the effects, cycle by cycle")
     found = finder.diagnose(groups[0], groups[2], terms=terms)
     found = diagnosing.on_its_footing(found, trials, path, measured=bool(calibration or healthy))
