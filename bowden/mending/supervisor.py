@@ -150,7 +150,10 @@ class _Run:
                 break
             tried.add(name)
             trials.append(self._trial(name, replace(self.gait, name=name, cycles=None)))
-            found = self._diagnosed(f"diagnosis with {name}", finder, trials)
+            again = self._diagnosed(f"diagnosis with {name}", finder, trials)
+            if again.verdict == "refused":  # the experiment is unusable here; the gait's answer stands
+                break
+            found = again
         return self._proven(found)
 
     def _repeated(self, finder: Diagnosis, found: DiagnosisResult) -> DiagnosisResult:
@@ -215,7 +218,16 @@ class _Run:
         return found
 
     def _trial(self, step: str, experiment: Experiment | PreparedTrial) -> Path:
-        """Record a trial, if the journal has none, and return its file; end the run by time and by stopped trials."""
+        """Record a trial, if the journal has none, and return its file; a stopped one is recorded once more.
+
+        Ends the run by time and at the second stopped trial.
+        """
+        result = self._recorded(step, experiment)
+        if result["outcome"] != "completed":
+            result = self._recorded(f"{step} again", experiment)
+        return self.folder / str(result["file"])
+
+    def _recorded(self, step: str, experiment: Experiment | PreparedTrial) -> dict[str, Any]:
         path = self.folder / f"{step}.mcap"
 
         def record() -> dict[str, Any]:
@@ -238,7 +250,7 @@ class _Run:
             self.stops += 1
             if self.stops >= STOPS:
                 raise _EndedError(f"{self.stops} trials were stopped, the last one: {result['stop_reason']}")
-        return path
+        return result
 
     def _bus(self) -> BusSettings:
         """Return the bus; the noise of a simulated bench is new in each trial, as on a real one."""
@@ -248,13 +260,12 @@ class _Run:
         return replace(self.bus, arguments={**self.bus.arguments, "seed": seed})
 
     def _figure(self, step: str, experiment: Experiment) -> float:
-        """Return END's relative RMSE, %, of a trial; a stopped one is repeated once."""
-        for name in (step, f"{step} again"):
-            self._trial(name, experiment)
-            result = next(line["result"] for line in self.journal.lines if line["step"] == name)
-            if result["outcome"] == "completed" and result["percent"] is not None:
-                return float(result["percent"])
-        raise _EndedError(f"{step}: END was not measured in two trials")
+        """Return END's relative RMSE, %, of a trial."""
+        name = self._trial(step, experiment).name
+        percent = next(line["result"]["percent"] for line in self.journal.lines if line["result"].get("file") == name)
+        if percent is None:
+            raise _EndedError(f"{name}: END was not measured")
+        return float(percent)
 
 
 def _recorded(path: Path) -> Trial:

@@ -132,9 +132,10 @@ def unsigned(given: Table, share: float = 0.1, alike: float = 1.5, pulled: float
     """Yield a finding on a drive force without sign: never negative, near 0 at times, alike in both directions.
 
     Each direction has the `share` of the rows or more, and the means of both differ by less than a factor `alike`.
-    A correlation with the travel above `pulled` is a spring or rope that is pulled, whose force has one sign.
+    A correlation with the travel above `pulled` is a spring that is pulled, whose force has one sign; so has that of a
+    rope, whose tension is recorded.
     """
-    if not {"servo_force_n", "servo_position_m"} <= set(given.columns):
+    if not {"servo_force_n", "servo_position_m"} <= set(given.columns) or "tension_start_n" in given:
         return
     force, speed = given["servo_force_n"], np.gradient(given["servo_position_m"], given["time_s"])
     fast = 0.2 * np.nanquantile(np.abs(speed), 0.9)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -52,7 +53,8 @@ def true_percent(path: Path, settle: int = 1) -> float:
     """Return true END's relative RMSE, % of the peak, of a trial's cycles from `settle` on."""
     trial, truth = read.open(path), read.open_table(path.with_name(f"{path.stem}.truth.mcap"), "/truth")
     error = np.interp(trial.time_ns, truth.time_ns, truth.columns["true_end_n"]) - trial.columns["desired_force_n"]
-    return float(100.0 * np.sqrt(np.mean(error[trial.columns["cycle"] >= settle] ** 2)) / PEAK_N)
+    walked = trial.columns["cycle"] >= settle
+    return float(100.0 * np.sqrt(np.mean(error[walked] ** 2)) / PEAK_N) if walked.any() else math.inf
 
 
 def night(serial: int, hidden: str, folder: Path) -> dict[str, Any]:
@@ -64,7 +66,7 @@ def night(serial: int, hidden: str, folder: Path) -> dict[str, Any]:
     model.write_text(write(family_walks.calibration_of(known)), encoding="utf-8")
 
     def bus(seed: int, *changed: str) -> Any:
-        return bowden.simulated(serial=0, day=0, seed=seed, plant=stack.plant_name(serial, 0, effects=changed),
+        return bowden.simulated(serial=0, day=0, seed=seed, plant=stack.plant_name(serial, 0, effects=changed, draw=serial if changed else None),
                                 plant_model=stack.plant_model(serial))
 
     def gait(name: str, peak_n: float, period_s: float, seed: int) -> Path:
@@ -87,7 +89,7 @@ def share(row: Mapping[str, Any]) -> float | None:
     before = float(np.mean(row["A"] or [row["changed"]]))
     lost = before - row["healthy"]
     after = float(np.mean(row["B"])) if row["kept"] else before
-    return None if lost < SHOWS else 100.0 * (before - after) / lost
+    return None if not SHOWS <= lost < math.inf else 100.0 * (before - after) / lost
 
 
 def described(row: Mapping[str, Any]) -> list[str]:

@@ -2,7 +2,7 @@
 
 The rule of this file: a plant's name says everything, so that nothing of the product has to know of serials here.
 `tests.plants:bench_17_day_1` is serial 17 on day 1; `tests.plants:maxwell_17_day_1` the same with that method;
-`…+fabric_friction` hides an effect in it, drawn from the bench's seed; `…_up_60` or `…_down_60` moves its zero by 60
+`…+fabric_friction` hides an effect in it, drawn from the bench's seed, `…+fabric_friction_draw_3` from seed 3; `…_up_60` or `…_down_60` moves its zero by 60
 µm/s; `tests.plants:family` takes the seed for the serial.  See docs/family.md.
 """
 
@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 _NAME = re.compile(r"(?P<kind>family|bench|maxwell|lugre|dahl|fronts)(_(?P<serial>\d+))?(_day_(?P<day>\d+))?"
-                   r"(_(?P<way>up|down)_(?P<rate>\d+))?(?P<hidden>(\+\w+)*)")
+                   r"(_(?P<way>up|down)_(?P<rate>\d+))?(?P<hidden>(\+[a-z_]+?)*)(_draw_(?P<draw>\d+))?")
 
 
 def bench_of(name: str, seed: int = 0) -> Any:
@@ -32,7 +32,7 @@ def bench_of(name: str, seed: int = 0) -> Any:
         if part not in effects.IN_PLANT:
             raise AttributeError(f"{part} is no effect that a plant of the family can have")
     rate = {"up": 1e-6, "down": -1e-6, None: 0.0}[found["way"]] * float(found["rate"] or 0)
-    return effects.hide(replaced(bench, zero_rate=rate), hidden, seed)[0]
+    return effects.hide(replaced(bench, zero_rate=rate), hidden, seed if found["draw"] is None else int(found["draw"]))[0]
 
 
 def __getattr__(name: str) -> Callable[[dict[str, float], int], Any]:

@@ -15,9 +15,11 @@ WIRE_EFFECTS = "end_delay, timestamp_skew, quantisation, lost_pdo, late_pdo"
 """Effects for the product's own plant model (`[effects.…]`), not for a plant's name."""
 
 
-def plant_name(serial: int, day: int = 0, implementation: str = "bench", effects: tuple[str, ...] = ()) -> str:
-    """The name under which `--plant` and `can.Bus(plant=…)` find a bench of the family."""
-    return "+".join([f"tests.plants:{implementation}_{serial}_day_{day}", *effects])
+def plant_name(serial: int, day: int = 0, implementation: str = "bench", effects: tuple[str, ...] = (),
+               draw: int | None = None) -> str:
+    """The name under which `--plant` and `can.Bus(plant=…)` find a bench of the family; `draw`: seed of the effects."""
+    name = "+".join([f"tests.plants:{implementation}_{serial}_day_{day}", *effects])
+    return name if draw is None else f"{name}_draw_{draw}"
 
 
 def plant_model(serial: int, implementation: str = "bench") -> dict[str, Any]:
