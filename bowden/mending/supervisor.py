@@ -116,7 +116,7 @@ class _Run:
         walked = max(gaits, key=lambda trial: float(trial.metadata["peak_n"]))
         self.walked = Path(walked.path)
         self.gait = Experiment(peak_n=float(walked.metadata["peak_n"]), period_s=float(walked.metadata["period_s"]),
-                               cycles=cycles, controller=walked.metadata["controller"])
+                               cycles=cycles, controller=walked.metadata["controller"], model=self.plain)
         self.budget_s, self.used_s, self.stops = 3600.0 * hours, 0.0, 0
         folder.mkdir(parents=True, exist_ok=True)
         self.journal = Journal(folder / JOURNAL, {
@@ -197,7 +197,7 @@ class _Run:
         controlled = replace(self.gait, controller="extended")
         try:
             for pair in range(1, PAIRS + 1):
-                before.append(self._figure(f"{pair}-A", replace(controlled, model=self.plain)))
+                before.append(self._figure(f"{pair}-A", controlled))
                 after.append(self._figure(f"{pair}-B", replace(controlled, model=extended)))
         except _EndedError as ended:
             return replace(outcome, ending=str(ended), before=before[:len(after)], after=after)
