@@ -66,8 +66,8 @@ def night(serial: int, hidden: str, folder: Path) -> dict[str, Any]:
     model.write_text(write(family_walks.calibration_of(known)), encoding="utf-8")
 
     def bus(seed: int, *changed: str) -> Any:
-        return bowden.simulated(serial=0, day=0, seed=seed, plant=stack.plant_name(serial, 0, effects=changed, draw=serial if changed else None),
-                                plant_model=stack.plant_model(serial))
+        plant = stack.plant_name(serial, 0, effects=changed, draw=serial if changed else None)
+        return bowden.simulated(serial=0, day=0, seed=seed, plant=plant, plant_model=stack.plant_model(serial))
 
     def gait(name: str, peak_n: float, period_s: float, seed: int) -> Path:
         path = folder / f"{name}.mcap"
