@@ -166,66 +166,118 @@ def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedan
     )
 
 
+class EndEstimate(NamedTuple):
+    """END as START tells it: `force_n`, START without its lag, N, START/END beyond the drag, and START's rate, N per
+    control cycle."""
+
+    force_n: float
+    start_n: float
+    ratio: float
+    rate_n: float
+
+
 def step(
     seen: ControllerInput, state: ExtendedState, config: ExtendedConfig
 ) -> tuple[ControllerOutput, ExtendedState, Trace]:
     """Return one control cycle: the model's rope position for the time at which the target acts, plus feedback and
     correction."""
-    gait, samples = config.gait, config.gait.samples
-    now = seen.sample % samples if seen.place is None else seen.place
-    if state.history is not None:
-        if seen.share < 1.0:  # a stride whose phase was lost teaches nothing
-            state = state._replace(history=None)
-        elif now == 0 if seen.place is None else now < state.place - 0.5 * samples:
-            state = on_cycle_end(state, config)
+    gait = config.gait
+    now = seen.sample % gait.samples if seen.place is None else seen.place
+    state = _with_history(seen, state, config, now)
     departures = _departures(state, gait, seen.knee_angle_rad, now, seen.rate)
     paths, slip, slips, leg = look_ahead(state, config, now, departures, seen)
     here = paths[0]
-    ratio = math.exp(here.by_sheath + here.by_knee + here.discrepancy)
     # a felt phase is led on to the instant at which a target acts; what was asked for then is what is desired now
     desired, slack = (gait.wanted(now, knee_rad=seen.knee_angle_rad) if seen.place is None
                       else (here.desired, here.slack))
-    start = (seen.start_n - config.start_offset_n) / config.start_gain
-    rate = paths[min(1, len(paths) - 1)].start - here.start
-    unlagged = start + config.start_lag * rate
-    estimated = (unlagged - here.drag) / ratio
-    zero = config.zero_m + state.shifted_m
+    end = _end_from_start(seen.start_n, paths, config)
     resting = max(state.resting - 1, 0) if here.slides_fully else config.filter.lead
-    deviation, evidence = state.deviation_m, None
-    if slack > 0.0:
-        deviation *= config.decay
-    else:
-        heard = _heard(paths, resting)
-        apart = trusted(desired - estimated, here.doubt * desired)
-        deviation = (1.0 - heard + heard * config.decay) * deviation + heard * config.gain_m_n * apart
-        if not resting and desired > config.least_n:
-            evidence = friction_evidence(
-                state.law, state.followed, seen.servo_position_m - zero,
-                seen.knee_angle_rad + here.leg, unlagged,
-                here.drag, here[3:7], _side(state, here, gait, now), config.least_n)
-    speed = paths[-1].position - paths[max(-3, -len(paths))].position
-    position = zero + paths[max(-2, -len(paths))].position
-    feedforward = position + 0.5 * config.lag * speed
+    deviation = _fed_back(state.deviation_m, desired, slack, end, paths, resting, config)
+    position, feedforward = _rope(paths, config, state.shifted_m)
     fade = gait.period_s / FADED_S
     share = min(1.0, state.learnt_share + fade) if seen.rate > 0.0 else max(0.0, state.learnt_share - fade)
     force = deviation + (share * at(state.learnt, now) if state.learnt else 0.0)
     wanted = (*state.wanted, position + force)[-(config.ahead + 1):]
-    missed = wanted[0] - seen.servo_position_m if len(wanted) > config.ahead else 0.0
-    fed = deviation if slack == 0.0 else 0.0
     target = feedforward + force + (share * at(state.tracked, now) if state.tracked else 0.0)
-    moved = 0.0 if math.isnan(state.seen_m) else seen.servo_position_m - state.seen_m
-    then = seen.servo_position_m + TARGET_CYCLES * moved
-    reached = min(max(target, then - REACH_M), then + REACH_M)
-    # anti-windup: where the target is held back, a larger correction would change nothing
-    history = (now, fed, missed if reached == target else 0.0, evidence, state.history) if seen.share == 1.0 else None
+    reached = _reachable(target, seen.servo_position_m, state.seen_m)
+    history = None
+    if seen.share == 1.0:
+        missed = wanted[0] - seen.servo_position_m if len(wanted) > config.ahead else 0.0
+        # anti-windup: where the target is held back, a larger correction would change nothing
+        history = (now, deviation if slack == 0.0 else 0.0, missed if reached == target else 0.0,
+                   _evidence(seen, state, config, now, desired, slack, end, here) if not resting else None,
+                   state.history)
     after = ExtendedState(
         state.law, state.followed, deviation, leg, seen.servo_position_m, slip, slips, departures, paths,
         wanted, resting, state.learnt, state.tracked, history, now, seen.rate, state.shifted_m,
         share)
-    half = _half_width(max(estimated, 0.0), ratio, rate, resting / config.filter.lead, here, config)
-    trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half,
+    half = _half_width(max(end.force_n, 0.0), end.ratio, end.rate_n, resting / config.filter.lead, here, config)
+    trace = Trace(desired, end.force_n, feedforward, deviation, end.ratio, here.rope_slip, here.fabric_slip, half,
                   state.shifted_m)
     return ControllerOutput(reached, at(gait.knee, now + TARGET_CYCLES * seen.rate)), after, trace
+
+
+def _with_history(seen: ControllerInput, state: ExtendedState, config: ExtendedConfig, now: float) -> ExtendedState:
+    """Return the memory after a gait cycle that has just ended; a stride whose phase was lost teaches nothing."""
+    if state.history is None:
+        return state
+    if seen.share < 1.0:
+        return state._replace(history=None)
+    ended = now == 0 if seen.place is None else now < state.place - 0.5 * config.gait.samples
+    return on_cycle_end(state, config) if ended else state
+
+
+def _end_from_start(start_n: float, paths: tuple[Ahead, ...], config: ExtendedConfig) -> EndEstimate:
+    """Estimate END, N: START by its offset, gain and lag, less the rope's drag, by e^(exponents + discrepancy).
+
+    The lag is undone by the model's rate, since the measured one is noise.
+    """
+    here, after = paths[0], paths[min(1, len(paths) - 1)]
+    ratio = math.exp(here.by_sheath + here.by_knee + here.discrepancy)
+    rate = after.start - here.start
+    start = (start_n - config.start_offset_n) / config.start_gain + config.start_lag * rate
+    return EndEstimate((start - here.drag) / ratio, start, ratio, rate)
+
+
+def _fed_back(deviation: float, desired: float, slack: float, end: EndEstimate, paths: tuple[Ahead, ...], resting: int,
+              config: ExtendedConfig) -> float:
+    """Return the deviation of the rope, m, of the paper's impedance, (12)–(15) with M = 0: B·ẋ + K·x = desired − END.
+
+    It decays by e^(−K·t/B) in a control cycle; at idle nothing drives it.
+    """
+    if slack > 0.0:
+        return deviation * config.decay
+    heard = _heard(paths, resting)
+    apart = trusted(desired - end.force_n, paths[0].doubt * desired)
+    return (1.0 - heard + heard * config.decay) * deviation + heard * config.gain_m_n * apart
+
+
+def _evidence(seen: ControllerInput, state: ExtendedState, config: ExtendedConfig, now: float, desired: float,
+              slack: float, end: EndEstimate, here: Ahead) -> Any:
+    """Return what this control cycle tells of friction and backlash; None at idle and at small forces."""
+    if slack > 0.0 or desired <= config.least_n:
+        return None
+    return friction_evidence(
+        state.law, state.followed, seen.servo_position_m - (config.zero_m + state.shifted_m),
+        seen.knee_angle_rad + here.leg, end.start_n, here.drag, here[3:7], _side(state, here, config.gait, now),
+        config.least_n)
+
+
+def _rope(paths: tuple[Ahead, ...], config: ExtendedConfig, shifted_m: float) -> tuple[float, float]:
+    """Return the rope position, m, wanted when the target acts, and the target that a drive with a lag needs for it.
+
+    x + τ·ẋ of a first-order lag τ; ẋ over the last two control cycles.
+    """
+    position = config.zero_m + shifted_m + paths[max(-2, -len(paths))].position
+    speed = paths[-1].position - paths[max(-3, -len(paths))].position
+    return position, position + 0.5 * config.lag * speed
+
+
+def _reachable(target: float, seen_m: float, before_m: float) -> float:
+    """Return the target within `REACH_M` of where the rope will be when the target is reached."""
+    moved = 0.0 if math.isnan(before_m) else seen_m - before_m
+    then = seen_m + TARGET_CYCLES * moved
+    return min(max(target, then - REACH_M), then + REACH_M)
 
 
 def _departures(state: ExtendedState, gait: GaitTable, knee: float, now: float, rate: float) -> tuple[float, ...]:
