@@ -22,11 +22,11 @@ def write(result: MendedBench, path: Path) -> None:
     if result.gain is not None:
         low, high = result.interval or (None, None)
         page.tiles([
-            Tile(number(float(np.mean(result.before)), 3), "%", "END without the extension", "relative RMSE"),
-            Tile(number(float(np.mean(result.after)), 3), "%", "END with it", "relative RMSE"),
+            Tile(number(float(np.mean(result.before)), 3), "%", "END without the extension", "error, of the peak"),
+            Tile(number(float(np.mean(result.after)), 3), "%", "END with it", "error, of the peak"),
             Tile(number(result.gain, 3), "points", "gain", f"95 %: {number(low, 3)} … {number(high, 3)}")])
         pairs = np.arange(1.0, len(result.before) + 1.0)
-        page.plot("END's relative RMSE by pair of trials", pairs, [
+        page.plot("END's error by pair of trials", pairs, [
             Series("without", result.before, "#d97706", points=True),
             Series("with", result.after, "#2563eb", points=True)], "pair", "%")
     page.section("Steps")
@@ -47,7 +47,7 @@ def _sentence(result: MendedBench) -> str:
 def _words(result: dict[str, Any]) -> str:
     """Return a step's result in words: a trial, a diagnosis or a plan."""
     if "file" in result:
-        percent = "END not measured" if result["percent"] is None else f"END {number(result['percent'], 3)} %"
+        percent = "END not measured" if result["percent"] is None else f"END off by {number(result['percent'], 3)} %"
         stopped = f" ({result['stop_reason']})" if result["stop_reason"] else ""
         return f"{result['file']}: {result['outcome']}{stopped}, {result['seconds']:.0f} s, {percent}"
     if "verdict" in result:

@@ -2,8 +2,9 @@
 
 The rule of this file: a plant's name says everything, so that nothing of the product has to know of serials here.
 `tests.plants:bench_17_day_1` is serial 17 on day 1; `tests.plants:maxwell_17_day_1` the same with that method;
-`…+fabric_friction` hides an effect in it, drawn from the bench's seed, `…+fabric_friction_draw_3` from seed 3; `…_up_60` or `…_down_60` moves its zero by 60
-µm/s; `tests.plants:family` takes the seed for the serial.  See docs/family.md.
+`…+fabric_friction` hides an effect in it, drawn from the bench's seed, `…+fabric_friction_draw_3` from seed 3;
+`…_up_60` or `…_down_60` moves its zero by 60 µm/s; `tests.plants:family` takes the seed for the serial.  See
+docs/family.md.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def bench_of(name: str, seed: int = 0) -> Any:
         if part not in effects.IN_PLANT:
             raise AttributeError(f"{part} is no effect that a plant of the family can have")
     rate = {"up": 1e-6, "down": -1e-6, None: 0.0}[found["way"]] * float(found["rate"] or 0)
-    return effects.hide(replaced(bench, zero_rate=rate), hidden, seed if found["draw"] is None else int(found["draw"]))[0]
+    return effects.hide(replaced(bench, zero_rate=rate), hidden, int(found["draw"] or seed))[0]
 
 
 def __getattr__(name: str) -> Callable[[dict[str, float], int], Any]:

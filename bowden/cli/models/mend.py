@@ -56,6 +56,6 @@ def _tell(found: MendedBench) -> None:
         print(f"Named: {', '.join(found.names)}.")
     if found.gain is not None:
         low, high = found.interval or (float("nan"), float("nan"))
-        print(f"END's relative RMSE falls by {found.gain:.3g} points (95 %: {low:.3g} … {high:.3g}).")
+        print(f"END's error falls by {found.gain:.3g} points of the peak (95 %: {low:.3g} … {high:.3g}).")
     print(f"{found.ending[:1].upper()}{found.ending[1:]}.")
     print(f"Page: {found.folder / 'mend.html'}")
