@@ -89,12 +89,14 @@ class Job(NamedTuple):
     controller: str
     rate_hz: int
     cycles: int
+    monitored: bool = True
 
 
 class Ended(NamedTuple):
     """End of a trial, greatest normalised residual of each relation, and the end by the packaged calibration.
 
-    `packaged`: why the bench had to be identified and run again; None if it had not.  `trial_s`: its length from the
+    `packaged`: why the bench had to be identified and run again; None if it had not.  `monitored`: whether a safety
+    monitor watched it.  `trial_s`: its length from the
     silent bus to the end, s; `gait_s`: that of its gait cycles.
     """
 
@@ -105,6 +107,7 @@ class Ended(NamedTuple):
     compared: list[float]
     trial_s: float
     gait_s: float
+    monitored: bool = False
 
 
 def jobs(count: int, cycles: int) -> Iterator[Job]:
@@ -160,7 +163,7 @@ def ran(job: Job) -> Ended:
 
 
 def walked(job: Job, calibration: Any) -> Ended:
-    """Run one trial under a safety monitor, without a recorder.
+    """Run one trial, under a safety monitor if it has one, without a recorder.
 
     No monitor socket drains the bus: it would only cost time, and the master counts targets as sent by its own record.
     """
@@ -184,7 +187,8 @@ def walked(job: Job, calibration: Any) -> Ended:
     experiment_run.Repetition = Kept  # type: ignore[misc]
     with tempfile.TemporaryDirectory() as folder:
         person = person_of(job.peak_n, job.period_s, Path(folder))
-        bus = BowdenBus(f"healthy-{job.number}", rate_hz=job.rate_hz, monitor=str(person), **job.bench)
+        monitor = {"monitor": str(person)} if job.monitored else {}
+        bus = BowdenBus(f"healthy-{job.number}", rate_hz=job.rate_hz, **monitor, **job.bench)
     asked = experiment_run.ExperimentSetup(
         paper_reference(job.peak_n, job.period_s), network=Network(rate_hz=job.rate_hz),
         calibration=calibration,
@@ -193,7 +197,7 @@ def walked(job: Job, calibration: Any) -> Ended:
     result = experiment_run.run(Link(bus, bus.time_ns), None, None, asked)
     bus.shutdown()
     return Ended(job.number, result.stop_reason, worst.tolist(), None, list(watches[-1].shares) if watches else [],
-                 result.duration_s, job.cycles * job.period_s)
+                 result.duration_s, job.cycles * job.period_s, job.monitored)
 
 
 def person_of(peak_n: float, period_s: float, folder: Path) -> Path:
@@ -235,11 +239,17 @@ def write(path: Path, whole: list[Ended]) -> None:
     path.write_text("\n".join(["check,share,trials", *lines, ""]), encoding="utf-8")
 
 
-def healthy(count: int, first: int, workers: int, cycles: int, kept: Path | None, table: Path | None = None) -> int:
-    """Run `count` trials from number `first` on that `kept` lacks, print what all raised; returns how many stopped."""
-    drawn = {job.number: job for job in jobs(first + count, cycles) if job.number >= first}
+def healthy(count: int, first: int, workers: int, cycles: int, every: int, kept: Path | None,
+            table: Path | None = None) -> int:
+    """Run `count` trials from number `first` on that `kept` lacks, print what all raised; returns how many stopped.
+
+    One trial in `every` has a safety monitor, with which it takes three times as long.
+    """
+    drawn = {job.number: job._replace(monitored=job.number % every == 0)
+             for job in jobs(first + count, cycles) if job.number >= first}
     lines = kept.read_text(encoding="utf-8").splitlines() if kept is not None and kept.exists() else []
-    told = [ended for ended in (Ended(**json.loads(line)) for line in lines) if ended.number in drawn]
+    told = [ended for ended in (Ended(**json.loads(line)) for line in lines)
+            if ended.number in drawn and ended.monitored >= drawn[ended.number].monitored]
     left = [job for job in drawn.values() if job.number not in {ended.number for ended in told}]
     with multiprocessing.get_context("fork").Pool(workers) as pool:
         for ended in pool.imap_unordered(ran, left):
@@ -266,6 +276,9 @@ def show(told: list[Ended]) -> None:
     again = [ended.number for ended in told if ended.packaged is not None and REFUSED not in ended.packaged]
     print(f"{len(told)} healthy trials, {len(stopped)} stopped; by the packaged calibration {len(refused)} benches "
           f"were refused and {len(again)} stopped {again}, then identified")
+    print(f"{sum(ended.monitored for ended in told)} of them had a safety monitor, which opened its line in "
+          f"{sum(map(opened, (ended.reason for ended in told)))}; by the packaged calibration in "
+          f"{sum(map(opened, (ended.packaged for ended in told)))}")
     for reason, often in Counter(ended.reason for ended in stopped).most_common(20):
         numbers = [ended.number for ended in stopped if ended.reason == reason]
         print(f"  {often} × {reason} {numbers[:6]}")
@@ -287,6 +300,11 @@ def show(told: list[Ended]) -> None:
     share, exponent, high = tail(shares.max(axis=1))
     print(f"by the tail of the comparisons of gait cycles: one in {1.0 / share:.3g} trials, at most one in "
           f"{1.0 / high:.3g} (95 %; exponent {exponent:.1f})")
+
+
+def opened(reason: str | None) -> bool:
+    """Return whether a stop is one by the safety monitor: its own EMCY, or that of a drive whose line it opened."""
+    return reason is not None and ("(STO)" in reason or "0xFF1" in reason)
 
 
 def most_alarms(seen: int) -> float:
@@ -315,6 +333,7 @@ def main() -> int:
     asked.add_argument("--healthy", type=int, default=0, metavar="N")
     asked.add_argument("--first", type=int, default=0, help="number of the first trial; trials are drawn by number")
     asked.add_argument("--cycles", type=int, default=CYCLES)
+    asked.add_argument("--monitor-every", type=int, default=3, help="one trial in so many has a safety monitor")
     asked.add_argument("--kept", type=Path)
     asked.add_argument("--table", type=Path, help="table file of the largest share of each check")
     asked.add_argument("--jobs", type=int, default=2)
@@ -326,7 +345,7 @@ def main() -> int:
     if given.cost or not given.healthy:
         cost()
     return int(bool(given.healthy and healthy(
-        given.healthy, given.first, given.jobs, given.cycles, given.kept, given.table)))
+        given.healthy, given.first, given.jobs, given.cycles, given.monitor_every, given.kept, given.table)))
 
 
 if __name__ == "__main__":
