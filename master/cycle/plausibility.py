@@ -119,6 +119,8 @@ def _tracking(s: Any, g: Any, limited: float, target: float, knee_target: float,
         _compare(s, KNEE_TRACK, knee, reached, KNEE_RAD + KNEE_S * moved / g[PERIOD_S])
         sticks = min(STILL_RAD, g[STICKS] * g[PERIOD_S] * s[SAME_KNEE])
         _standing(s, STILL_KNEE, SAME_KNEE, knee, s[K2], STILL_RAD + sticks)
+        # two frames that agree to the last bit are no disturbed one: another cycle adds 100 degrees/s at 500 Hz
+        s[COUNTS + STILL_KNEE] *= PERSIST
     else:
         s[OLD_KNEE] = knee
     s[T2], s[T1], s[K2], s[K1] = s[T1], target, s[K1], knee_target

@@ -97,7 +97,7 @@ CHECKS: Final = (
           _TWO.format("the encoder's step, 1 µm"), C.OFF_TARGET, SERVO,
           "test_defects_once_found_are_said_named_and_bounded", "still servo"),
     Check("still knee", "knee angle, its target", f"one value while that goes {math.degrees(p.STILL_RAD):.2f}°",
-          _TWO.format("the encoder's step, 0.001°"), C.OFF_TARGET, KNEE, "test_every_row_keeps_its_bounds",
+          "form and size of the encoder's step, 0.001°", C.OFF_TARGET, KNEE, "test_every_row_keeps_its_bounds",
           "still knee"),
     Check("desired", "END, the gait table's force", _n(repetition.TOLERANCES[0]),
           _FOUR + "model error of a bench that is not identified", C.IMPLAUSIBLE, NOBODY,

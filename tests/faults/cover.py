@@ -27,6 +27,9 @@ MOTIONS = (*(Walk(motion=motion, shape=shape) for motion in ("home", "jog") for 
 ON_ONE_BENCH = (argument.FOREIGN, argument.TARGETS, argument.ALTERED, argument.OTHER_BENCH)
 """Actions whose rows name frames of the paper's bench."""
 DRAGGED = "a leg that falls pulls the antagonist's rope off a drum without torque, which drags"
+UNSEEN = "without END no signal shows what changes between START and the limb"
+STANDS = ("an encoder that stands still is right as long as the leg is to stand still; a leg that its drive then moves "
+          "shows by the path's stretch alone; the safety monitor ends it by an END of its own")
 STEP = 7
 """Step of the rotation from fault to fault: without a common divisor with the number of gaits."""
 
@@ -59,10 +62,20 @@ def sample(rows: Sequence[Row], *, whole: bool = False, motions: bool = True) ->
             for walk, at in turns.items():
                 errors = tuple(name for name in row.named if name.startswith("program failed"))
                 mine = replace(row, moments=tuple(at), walks=(walk,), named=errors, quiet=True)
-                if walk.shape == "bench_antagonists" and not row.unstoppable:
-                    mine = replace(mine, unstoppable=DRAGGED, excused=("slack_ms",))
-                found.setdefault(walk, []).append(mine)
+                found.setdefault(walk, []).append(excused(mine, walk))
     return found
+
+
+def excused(row: Row, walk: Walk) -> Row:
+    """Return the row with the physical reasons for which it cannot keep every bound on this bench or in this motion."""
+    if walk.shape == "bench_antagonists":
+        measures = (*row.excused, "slack_ms") if row.excused or not row.unstoppable else ()
+        row = replace(row, unstoppable="; ".join(filter(None, (row.unstoppable, DRAGGED))), excused=measures)
+    if walk.shape == "bench_start_only" and row.action is argument.PATH:
+        row = replace(row, beyond=UNSEEN)
+    if walk.motion in ("home", "identify") and row.name == "knee encoder frozen":
+        row = replace(row, unstoppable=STANDS, excused=("off_deg", "over_deg_s", "stop_end_n"))
+    return row
 
 
 def thinned(sampled: dict[Walk, list[Row]], every: int) -> dict[Walk, list[Row]]:

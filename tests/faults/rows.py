@@ -189,6 +189,7 @@ def nothing(scene: Scene) -> None:
 
 KNEE_LET_GO = (argument.LYING_KNEE, argument.KNEE_STAGE)
 COASTS = "a leg in swing coasts on when its drive lets go, and nothing else that is trusted can brake it"
+FRICTION = "START and END differ by friction: within its band, wider while the rope moves, no error of START shows"
 LET_GO: dict[str, Any] = {
     "unstoppable": "the fault itself takes the knee's torque: a leg in swing coasts on, and no stop can brake it",
     "excused": ("off_deg",)}
@@ -208,7 +209,8 @@ GAIN, OFFSET = (lambda k: lambda value, t: k * value), (lambda b: lambda value, 
 ROWS: tuple[Row, ...] = (
     *of(
         argument.LYING_TENSION,
-        Row("START stuck at 0", sensed(start_n=lambda value, t: 0.0), (names.START_ALONE, names.START_OR_PATH)),
+        Row("START stuck at 0", sensed(start_n=lambda value, t: 0.0), (names.START_ALONE, names.START_OR_PATH),
+            unstoppable=slow.ROTOR, excused=("stop_end_n",)),
         Row("START stuck at its value", frozen("start_n"), (names.START_ALONE, names.START_OR_PATH),
             unstoppable=slow.ROTOR, excused=("stop_end_n",)),
         Row("START × 0.5", sensed(start_n=GAIN(0.5)), (names.START_ALONE, names.START_OR_PATH)),
@@ -217,9 +219,9 @@ ROWS: tuple[Row, ...] = (
         Row("START + 15 N", sensed(start_n=OFFSET(15.0)), (names.START_OR_PATH, names.BETWEEN)),
         Row("START − 15 N", sensed(start_n=OFFSET(-15.0)), (names.START_ALONE, names.BETWEEN, names.TORQUE_OR_START)),
         Row("START drifts by + 20 N/s", sensed(start_n=lambda value, t: value + 20.0 * t), (names.START_ALONE,),
-            ("ramp", "idle")),
+            ("ramp", "idle"), beyond=FRICTION),
         Row("START drifts by − 20 N/s", sensed(start_n=lambda value, t: value - 20.0 * t), (names.BETWEEN,),
-            ("ramp", "idle")),
+            ("ramp", "idle"), beyond=FRICTION),
         Row("START at full scale", sensed(start_n=lambda value, t: 190.0), (names.implausible("start"),)),
         Row("START noisy, 8 N rms", sensed(start_n=lambda value, t: value + 11.3 * __import__("math").sin(4e4 * t)),
             (), LOADED, silent="zero-mean noise above the control band moves END by less than its bound"),
@@ -474,7 +476,7 @@ ROWS: tuple[Row, ...] = (
         Row("START's heartbeat says STOPPED", repeated(50 * MS, 0x703, lambda n: b"\4"),
             ("node left OPERATIONAL: start",), ("peak", "idle")),
         Row("knee's heartbeat says PRE-OPERATIONAL", repeated(50 * MS, 0x702, lambda n: b"\x7f"),
-            ("node left OPERATIONAL: knee",), ("peak",)),
+            ("node left OPERATIONAL: knee",), ("peak",), unstoppable=COASTS, excused=("off_deg",)),
     ),
     *of(
         argument.ALTERED,

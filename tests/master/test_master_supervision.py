@@ -93,7 +93,7 @@ def test_a_servo_that_was_held_back_needs_time_to_make_up_for_it(limited_m: floa
     assert next((each.relation for each in told if each), None) == found
 
 
-@pytest.mark.parametrize(("strides", "rad_s", "found_ms"), [(True, 0.1, 33), (True, 2.0, 5), (False, 0.1, 19)])
+@pytest.mark.parametrize(("strides", "rad_s", "found_ms"), [(True, 0.1, 32), (True, 2.0, 4), (False, 0.1, 18)])
 def test_a_knee_that_turns_back_may_stick_where_strides_differ(strides: bool, rad_s: float, found_ms: int) -> None:
     """The encoder repeats one value while the target turns back at a speed."""
     checked = Plausibility(1e-3)
