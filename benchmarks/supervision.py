@@ -239,16 +239,18 @@ def write(path: Path, whole: list[Ended]) -> None:
     path.write_text("\n".join(["check,share,trials", *lines, ""]), encoding="utf-8")
 
 
-def healthy(count: int, first: int, workers: int, cycles: int, every: int, kept: Path | None,
-            table: Path | None = None) -> int:
+def healthy(count: int, first: int, workers: int, cycles: int, monitored: int,
+            kept: Path | None, table: Path | None = None) -> int:
     """Run `count` trials from number `first` on that `kept` lacks, print what all raised; returns how many stopped.
 
-    One trial in `every` has a safety monitor, with which it takes three times as long.
+    Trials before number `monitored` have a safety monitor, with which they take three times as long.
     """
-    drawn = {job.number: job._replace(monitored=job.number % every == 0)
+    drawn = {job.number: job._replace(monitored=job.number < monitored)
              for job in jobs(first + count, cycles) if job.number >= first}
     lines = kept.read_text(encoding="utf-8").splitlines() if kept is not None and kept.exists() else []
-    told = [ended for ended in (Ended(**json.loads(line)) for line in lines)
+    found = {ended.number: ended for ended in sorted((Ended(**json.loads(line)) for line in lines),
+                                                     key=lambda ended: ended.monitored)}
+    told = [ended for ended in found.values()
             if ended.number in drawn and ended.monitored >= drawn[ended.number].monitored]
     left = [job for job in drawn.values() if job.number not in {ended.number for ended in told}]
     with multiprocessing.get_context("fork").Pool(workers) as pool:
@@ -333,7 +335,7 @@ def main() -> int:
     asked.add_argument("--healthy", type=int, default=0, metavar="N")
     asked.add_argument("--first", type=int, default=0, help="number of the first trial; trials are drawn by number")
     asked.add_argument("--cycles", type=int, default=CYCLES)
-    asked.add_argument("--monitor-every", type=int, default=3, help="one trial in so many has a safety monitor")
+    asked.add_argument("--monitored", type=int, default=0, metavar="N", help="the first N trials have a safety monitor")
     asked.add_argument("--kept", type=Path)
     asked.add_argument("--table", type=Path, help="table file of the largest share of each check")
     asked.add_argument("--jobs", type=int, default=2)
@@ -345,7 +347,7 @@ def main() -> int:
     if given.cost or not given.healthy:
         cost()
     return int(bool(given.healthy and healthy(
-        given.healthy, given.first, given.jobs, given.cycles, given.monitor_every, given.kept, given.table)))
+        given.healthy, given.first, given.jobs, given.cycles, given.monitored, given.kept, given.table)))
 
 
 if __name__ == "__main__":
