@@ -85,7 +85,7 @@ class ReceivePdo:
         if not self._synchronous:
             self.take(data, now_ns)
             self._pdos.look(now_ns)
-        elif now_ns <= self._device.sync.window_end_ns:
+        elif now_ns <= self._device.sync.window_end_ns:  # later ones would act a whole cycle late (0x1007)
             if self.data is None:
                 self._pdos.arrived.append(self)
             self.data = data
@@ -99,6 +99,7 @@ class ReceivePdo:
             if self._refused(at, raw[place], bounds):
                 keys, raw = self._without_refused(raw)
                 break
+        # all values first: a controlword that acts beside the last cycle's target would move the axis there
         self._device.values.update(zip(keys, raw))  # noqa: B905 - a plan unpacks as many values as it has keys
         for at in self._watched:
             if keys is self._keys or at in keys:
@@ -323,6 +324,7 @@ class Pdos(Part):
         if not self._running:
             return
         device = self._device
+        # latched and sent before targets apply: inputs of all nodes are those of one instant, the SYNC's
         device.application.latch(now_ns)
         if self._waiting:
             self._start_counting(counter)

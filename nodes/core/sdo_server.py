@@ -149,7 +149,7 @@ class SdoServer(Part):
             raise TransferAbortedError(Abort.COMMAND)
         found = self._read(key, now_ns)
         transfer = BlockUpload(key, found, data[0], bool(head & 4))
-        if len(found) <= data[1]:
+        if len(found) <= data[1]:  # protocol switch threshold: for so few bytes the client asks a normal transfer
             return self._normal_upload(key, found)
         self._transfer = transfer
         return transfer.accept()

@@ -114,7 +114,7 @@ class SegmentDownload(Transfer):
         if head & _TOGGLE != self._toggle:
             raise TransferAbortedError(Abort.TOGGLE)
         self._received.append(data[1:1 + SEGMENT - (head >> 1 & 7)])
-        if head & _LAST:
+        if head & _LAST:  # written whole or not at all: no object holds a part of a value
             refusal = self._write(self.key, self._received.whole(), now_ns)
             if refusal:
                 raise TransferAbortedError(refusal)
@@ -183,6 +183,7 @@ class BlockDownload(Transfer):
         number, last = data[0] & 0x7F, bool(data[0] & _BLOCK_END)
         if not 1 <= number <= MAX_BLOCK:
             raise TransferAbortedError(Abort.SEQUENCE)
+        # a segment out of order is dropped: the acknowledgement names the last good one, and the client repeats from it
         if number == self._sequence + 1:
             self._sequence = number
             self._received.append_block(data[1:])
