@@ -28,7 +28,7 @@ import numpy as np
 
 from bowden.bench import buses, configuration
 from bowden.models import logbook_entries
-from bowden.models.change_diagnosis import diagnosed_state
+from bowden.models.logbook_entries import diagnosed_state
 from bowden.trials import session as trials
 from estimation.linear_sums import SessionSums
 from logbook import bench_page, database

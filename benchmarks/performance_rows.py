@@ -28,7 +28,7 @@ import nodes
 import trial
 from benchmarks import cycle
 from benchmarks.frame import Row, Turn, compare, quartiles, repeated
-from bowden.sweep import diagnose_each, row_trial, rows
+from bowden.sweep import row_trial, rows
 from bowden.sweep import run as sweep_run
 from diagnosis.finder import Finder
 from eds.bench import bus_load
@@ -115,14 +115,14 @@ def processes() -> Iterator[Row]:
         planned = rows.rows({}, {"files.calibration": rows.NOMINAL}, [("bench.serial", list(range(1, SWEPT + 1)))])
         kept = [row_trial.perform(row, "", "", name)["trial"] for row in planned[:2]]
         trials = [Path(kept[i % 2]) for i in range(DIAGNOSED)]
-        given = diagnose_each.DiagnosisSettings(None, (), (), None)
+        given = sweep_run.DiagnosisSettings(None, (), (), None)
 
         def sweep(crew: sweep_run.Workers) -> None:
             for each in [crew.executor.submit(row_trial.perform, row, "", "", None) for row in planned]:
                 each.result()
 
         def diagnose(crew: sweep_run.Workers) -> None:
-            for each in [crew.executor.submit(diagnose_each.perform, trial, given) for trial in trials]:
+            for each in [crew.executor.submit(sweep_run.diagnose, trial, given) for trial in trials]:
                 each.result()
 
         for work, what, count in ((sweep, "sweep", SWEPT), (diagnose, "diagnosis", DIAGNOSED)):

@@ -132,7 +132,7 @@ def _pair(values: Sequence[float | None]) -> str:
 
 def _missed(told: dict[str, Any]) -> str:
     """Missed cycles per 10⁵, and the upper bound of the rate at 95 %."""
-    from bowden.bench.soak import upper_bound
+    from bowden.bench.examination import upper_bound
 
     missed, cycles = int(told["missed"]), int(told["cycles"])
     return f"{1e5 * missed / cycles:.0f} (≤ {1e5 * upper_bound(missed, cycles):.0f})"

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from bowden.model_files import BenchModel, nominal
     from bowden.model_files import read as read_model
     from bowden.model_files import write as write_model
-    from bowden.models.diagnosing import Diagnosis, DiagnosisResult
-    from bowden.models.discovering import DiscoveryResult, discover
+    from bowden.models.diagnosing import Diagnosis, DiagnosisResult, DiscoveryResult, discover
     from bowden.models.identification import StoppedError, fit, identify
     from bowden.models.simulating import Simulation, simulate
     from bowden.progress import Progress
@@ -50,8 +49,8 @@ _HOMES = {
     "Simulation": "bowden.models.simulating", "StoppedError": "bowden.models.identification",
     "Trial": "bowden.trials.recorded_trial",
     "Verified": "bowden.trials.experiment", "WalkPlan": "bowden.trials.planning", "bus": "bowden.bench.buses",
-    "compare": "bowden.trials.recorded_trial", "discover": "bowden.models.discovering",
-    "DiscoveryResult": "bowden.models.discovering", "doctor": "bowden.bench.examination",
+    "compare": "bowden.trials.recorded_trial", "discover": "bowden.models.diagnosing",
+    "DiscoveryResult": "bowden.models.diagnosing", "doctor": "bowden.bench.examination",
     "export": "bowden.trials.recorded_trial", "fit": "bowden.models.identification",
     "identify": "bowden.models.identification", "nominal": "bowden.model_files", "plan": "bowden.trials.planning",
     "read": "bowden.trials.recorded_trial:read_trial", "read_model": "bowden.model_files:read",

@@ -2,7 +2,7 @@
 
 The evidence of all sessions is linear in the constants and dates a change.  Its cause is the verdict of a diagnosis:
 trials of one session since the change against trials of sessions before it.  A caller that can diagnose runs it
-(`bowden.models.change_diagnosis`).
+(`bowden.models.logbook_entries`).
 """
 
 from __future__ import annotations

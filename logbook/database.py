@@ -402,6 +402,12 @@ def open_logbook(folder: Path) -> Logbook:
     return Logbook(folder, db)
 
 
+def refuse_no_logbook(folder: Path | None) -> None:
+    """Raise `InputError` for a folder that holds no logbook, before anything runs."""
+    if folder is not None:
+        open_logbook(folder).close()
+
+
 def _connected(place: Path) -> sqlite3.Connection:
     db = sqlite3.connect(place, timeout=PATIENCE_S, isolation_level=None)
     db.execute("PRAGMA synchronous = FULL")

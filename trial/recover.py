@@ -1,23 +1,27 @@
 """Repair of a torn or damaged recording.
 
 Surviving messages are kept as they were, byte for byte and with their sequence numbers, so that gaps stay visible.
-Data that do not match their checksum are left out and counted, never mended. The file is read once from front to
-back, a chunk at a time.
+Bytes count as a record if records follow one another or a checksum holds; after other bytes the search goes on at the
+next chunk. Data that do not match their checksum are left out and counted, never mended. The file is read once from
+front to back, a chunk at a time.
 """
 
 import mmap
+import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import zstandard
 from numpy.typing import NDArray
 
 from parameters import InputError
 from parameters.files import replaced
-from trial.assemble import Progress, silent
-from trial.mcap_file import cdr, records, salvage, scan
+from trial.mcap_file import cdr, records, scan
 from trial.mcap_file import container as mcap
 from trial.mcap_file.cdr import MESSAGE_HEAD
+from trial.record import Progress, silent
 
 Index = dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]]
 
@@ -47,7 +51,7 @@ def recover(
     if whole.exists() and torn.exists() and whole.samefile(torn):
         raise InputError(f"{whole}: is the torn file itself; give another name.")
     with records.mapped(torn) as view:
-        channels = scan.described(view, torn) or salvage.channels(view)
+        channels = scan.described(view, torn) or surviving_channels(view)
         if not channels:
             raise InputError(f"{torn}: no topic survived; nothing can be recovered.")
         with replaced(whole, overwrite=overwrite) as part, open(part, "wb", buffering=0) as file:
@@ -60,11 +64,11 @@ def _copy(
     numbers = _describe(made, channels)
     found, skipped = Recovery(), list[int]()
     loose, chunked = bytearray(), False  # messages outside of chunks: in a file of chunks, other records misread
-    for opcode, at, end in salvage.walk(view, skipped):
+    for opcode, at, end in walk(view, skipped):
         cursor = records.Cursor(view, at, end)
         if opcode == mcap.CHUNK:
             chunked = True
-            content, intact = salvage.surviving(cursor)
+            content, intact = surviving(cursor)
             found.chunks += _keep(made, content, numbers, found) > 0
             found.damaged += not intact
             progress(at / len(view))
@@ -130,7 +134,7 @@ def _in_bulk(content: bytes, numbers: dict[int, int]) -> tuple[bytes, Index] | N
 def _one_by_one(content: bytes, numbers: dict[int, int]) -> tuple[bytes, Index]:
     index: dict[int, list[tuple[int, int]]] = {}
     messages = bytearray()
-    for opcode, at, end in salvage.whole_records(content):
+    for opcode, at, end in whole_records(content):
         if opcode != mcap.MESSAGE or end - at < 22:
             continue
         _op, _length, old, sequence, time_ns, published = MESSAGE_HEAD.unpack_from(content, at - 9)
@@ -161,3 +165,105 @@ def _note(made: mcap.Container, cursor: records.Cursor) -> None:
     except records.CutError:
         return
     made.metadata(name, mapping)
+
+
+ZSTD_CHUNK = b"\x04\0\0\0zstd"  # after 9 + 28 bytes of every zstd chunk record
+LONGEST_OTHER = 4 << 20  # bytes of a record that is neither chunk nor attachment: what claims more is damage
+
+
+def walk(view: mmap.mmap, skipped: list[int]) -> Iterator[tuple[int, int, int]]:
+    """Yield (opcode, begin, end) of every record; appends to `skipped` the bytes that belong to none.
+
+    A record counts where another begins after it, or the file ends.  One that the file's end cuts is yielded as
+    far as it goes; behind it, as behind bytes that make no sense, the next chunk is looked for.
+    """
+    at, size = len(mcap.MAGIC), len(view)
+    while at + 9 <= size:
+        end = at + 9 + int.from_bytes(view[at + 1:at + 9], "little")
+        if begins(view, at) and (end > size or begins(view, end)):
+            yield view[at], at + 9, min(end, size)
+            if end <= size:
+                at = end
+                continue
+        found = view.find(ZSTD_CHUNK, at + 38)
+        resumed = size if found < 0 else found - 37
+        skipped.append(resumed - at)
+        at = resumed
+
+
+def begins(view: mmap.mmap, at: int) -> bool:
+    """Return whether a record may begin here, or the file end."""
+    head = view[at:at + 9]
+    if len(head) < 9:
+        return head in (b"", mcap.MAGIC)
+    limit = records.CHUNK_LIMIT if head[0] in (mcap.CHUNK, mcap.ATTACHMENT) else LONGEST_OTHER
+    return 1 <= head[0] <= 15 and int.from_bytes(head[1:], "little") <= limit
+
+
+def surviving(cursor: records.Cursor) -> tuple[bytes, bool]:
+    """Return a chunk's content and True, or the front of it where the file ends in it, else nothing, and False."""
+    begin = cursor.at
+    try:
+        return records.unpack(cursor)[0], True
+    except records.CutError:
+        cursor.at = begin
+        return _front(cursor), False
+    except ValueError:
+        return b"", False
+
+
+def _front(cursor: records.Cursor) -> bytes:
+    """Return the bytes that a chunk cut by the end of the file still unpacks to."""
+    try:
+        _first, _last, size, crc = cursor.unpack(records.CHUNK_FIELDS)
+        compression = cursor.string()
+        cursor.take(8)
+    except records.CutError:
+        return b""
+    rest = cursor.view[cursor.at:cursor.end]
+    if compression == "zstd" and size <= records.CHUNK_LIMIT:
+        try:
+            rest = zstandard.ZstdDecompressor().stream_reader(rest).read(size + 1)
+        except zstandard.ZstdError:
+            return b""
+    elif compression != "":
+        return b""
+    return b"" if len(rest) > size or (len(rest) == size and crc not in (0, zlib.crc32(rest))) else rest
+
+
+def whole_records(content: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield the records of a chunk's content up to the first that is cut."""
+    try:
+        yield from records.records(content, 0, len(content))
+    except records.CutError:
+        return
+
+
+def surviving_channels(view: mmap.mmap) -> dict[int, records.Channel]:
+    """Return the channels of a file without a summary, wherever they survived: in front or in chunks."""
+    described = _Descriptions()
+    for opcode, at, end in walk(view, []):
+        described.take(opcode, records.Cursor(view, at, end))
+        if opcode == mcap.CHUNK and not described.channels:
+            content, _ = surviving(records.Cursor(view, at, end))
+            for inner, begin, stop in whole_records(content):
+                described.take(inner, records.Cursor(content, begin, stop))
+    return described.channels
+
+
+class _Descriptions:
+    def __init__(self) -> None:
+        self.schemas: dict[int, tuple[str, str, str]] = {}
+        self.channels: dict[int, records.Channel] = {}
+
+    def take(self, opcode: int, cursor: records.Cursor) -> None:
+        """Store the schema, channel or other description in a record, if it has one."""
+        try:
+            if opcode == mcap.SCHEMA:
+                number, parts = records.read_schema(cursor)
+                self.schemas.setdefault(number, parts)
+            elif opcode == mcap.CHANNEL:
+                channel = records.read_channel(cursor, self.schemas)
+                self.channels.setdefault(channel.number, channel)
+        except records.CutError:
+            return

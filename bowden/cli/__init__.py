@@ -1,4 +1,4 @@
-"""The command line, one file a command: each parses its options, calls the library and prints."""
+"""The command line: each command parses its options, calls the library and prints."""
 
 import sys
 from collections.abc import Sequence

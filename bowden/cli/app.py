@@ -28,13 +28,11 @@ app = CommandGroup(
 
 
 MODULES = (
-    "trials.trial", "trials.replay", "models.identify", "trials.sweep", "bench.bench", "bench.commission",
-    "bench.doctor", "bench.node", "bench.node_serve", "bench.bus_files", "bench.lss", "bench.monitor",
-    "bench.safety_monitor", "models.diagnose", "models.plan", "models.discover", "models.mend", "models.fit",
-    "models.simulate", "models.verify", "trials.report", "bench.live", "bench.watch", "trials.convert",
-    "trials.recordings", "bench.record", "bench.setup", "bench.setup_check", "models.logbook",
+    "trials.trial", "trials.replay", "trials.sweep", "trials.convert", "trials.recordings", "models.identify",
+    "models.diagnose", "models.plan", "models.simulate", "models.logbook", "bench.setup", "bench.bench",
+    "bench.commission", "bench.monitor", "bench.watch", "bench.node", "bench.node_serve", "bench.lss",
 )
-"""Modules of the commands, in the order of `bowden --help`; importing one registers its commands on `app`."""
+"""Modules of the commands; importing one registers its commands on `app`."""
 
 
 def load() -> None:

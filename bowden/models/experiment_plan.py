@@ -6,13 +6,26 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from parameters import InputError
+import numpy as np
+from threadpoolctl import threadpool_limits
 
-if TYPE_CHECKING:
-    from diagnosis.evidence.experiment_prediction import PlannedExperiment
-    from estimation.data.table import Table
+from bowden.models import logbook_entries
+from bowden.trials import planning
+from diagnosis.evidence import decision
+from diagnosis.evidence.experiment_prediction import DECIDES, PlannedExperiment, predicted_experiments
+from diagnosis.evidence.hypothesis_search import search
+from diagnosis.evidence.identical_motion import REPEAT, paired
+from diagnosis.evidence.session_change import feature_sd
+from estimation.data.table import Table
+from estimation.likelihood_data import MOTION
+from estimation.path_model import PATH_MODEL, usable_table
+from estimation.reference_fit import fit_reference
+from logbook.database import open_logbook
+from parameters import InputError, read_toml
+from physics.effects.catalogue import CATALOGUE
+from physics.effects.separating_experiments import EXPERIMENTS
 
 SIMULATED_DAYS: Final = (0, 1, 2)
 """Sessions of a simulated bench: two of reference trials, then that of the trial with the model's effects."""
@@ -40,13 +53,9 @@ class ExperimentPlan:
     @property
     def proposed_beside(self) -> PlannedExperiment | None:
         """The experiment to diagnose together with the trials; a repeated motion is diagnosed alone."""
-        from diagnosis.evidence.identical_motion import REPEAT
-
         return next((one for one in self._deciding() if one.name != REPEAT), None)
 
     def _deciding(self) -> Iterator[PlannedExperiment]:
-        from diagnosis.evidence.experiment_prediction import DECIDES
-
         return (one for one in self.experiments if one.best >= DECIDES)
 
     def as_json(self) -> dict[str, Any]:
@@ -62,9 +71,6 @@ def of_trials(trials: Sequence[Path], healthy: Sequence[Path], session_sd: Mappi
               path: str | None = None) -> ExperimentPlan:
     """Plan for trials of one session against reference trials; `path`: the force path of several.  Raises `InputError`.
     """
-    from estimation.likelihood_data import MOTION
-    from estimation.path_model import usable_table
-
     if not healthy:
         raise InputError("bowden plan: no reference trial; name at least one with --healthy, or a --logbook.")
     given, known = ([usable_table(file, path, "record it", MOTION) for file in group] for group in (trials, healthy))
@@ -74,12 +80,9 @@ def of_trials(trials: Sequence[Path], healthy: Sequence[Path], session_sd: Mappi
 def of_logbook(folder: Path) -> ExperimentPlan:
     """Plan for the change that `bowden logbook show` states; without one for the newest trial that a diagnosis left
     ambiguous, with the experiments of its session."""
-    from bowden.models import change_diagnosis, logbook_entries
-    from logbook.database import open_logbook
-
     healthy, deviations = logbook_entries.reference_trials(folder)
     with open_logbook(folder) as book:
-        change = change_diagnosis.change_trials(book)
+        change = logbook_entries.change_trials(book)
         if change is not None:
             return of_trials(change.trials, change.references, change.session_sd, book.path or None)
         for entry in book.trials():
@@ -94,9 +97,6 @@ def of_logbook(folder: Path) -> ExperimentPlan:
 
 def of_model(model: Path) -> ExperimentPlan:
     """Plan for a bench model with effects: its bench is simulated without and with them; raises `InputError`."""
-    from bowden.trials import planning
-    from parameters import read_toml
-
     tables = read_toml(model)
     if not tables.get("effects"):
         raise InputError(f"{model}: states no effect; give a model that bowden diagnose -o wrote, or trials.")
@@ -111,17 +111,6 @@ def of_model(model: Path) -> ExperimentPlan:
 
 def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapping[str, float] | None
              ) -> ExperimentPlan:
-    import numpy as np
-    from threadpoolctl import threadpool_limits
-
-    from diagnosis.evidence import decision
-    from diagnosis.evidence.experiment_prediction import predicted_experiments
-    from diagnosis.evidence.hypothesis_search import search
-    from diagnosis.evidence.identical_motion import REPEAT, paired
-    from diagnosis.evidence.session_change import feature_sd
-    from estimation.path_model import PATH_MODEL
-    from estimation.reference_fit import fit_reference
-
     tried = tuple(sorted({t.experiment for t in trials} - {"", "gait"}))
     with threadpool_limits(1, user_api="blas"):
         walked = [PATH_MODEL.record(t) for t in healthy]
@@ -140,9 +129,6 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
 
 def _by_hand(among: Sequence[str]) -> dict[str, str]:
     """Return the manual work by experiment, for those that need hands and are named for an effect of the set."""
-    from physics.effects.catalogue import CATALOGUE
-    from physics.effects.separating_experiments import EXPERIMENTS
-
     named = [CATALOGUE[name].experiment for name in among]
     return {name: f"{EXPERIMENTS[name].by_hand}; {EXPERIMENTS[name].around}" for name in named
             if EXPERIMENTS[name].by_hand}

@@ -21,7 +21,7 @@ from bowden.progress import SILENT, Progress
 from bowden.trials.recorded_trial import Trial
 
 if TYPE_CHECKING:
-    from bowden.replay.plant_residuals import SignalResidual
+    from bowden.replay.onto_plant import SignalResidual
     from physics.bench_model import BenchModel
 
 
@@ -60,7 +60,7 @@ def simulate(model: Model | None, trial: Trial | str | Path, *, progress: Progre
 
 def _under_motion(known: BenchModel, path: Path) -> Simulation:
     """Return both tensions as the simulation has them under the measured motion of a file's rope and knee."""
-    from bowden.replay.plant_residuals import figure
+    from bowden.replay.onto_plant import figure
     from estimation import bench_fit, simulation
     from estimation.data import table
     from trial.signals import SIGNALS

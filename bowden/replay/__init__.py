@@ -17,7 +17,7 @@ from parameters import InputError
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
     from bowden.replay.onto_controller import ControllerComparison
-    from bowden.replay.plant_residuals import Residuals
+    from bowden.replay.onto_plant import Residuals
     from bowden.trials.recorded_trial import Trial
     from trial.read import Trial as Recorded
 

@@ -6,19 +6,16 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bowden.bench.buses import BusSettings, opened_one
 from bowden.progress import SILENT, Progress
+from bowden.replay.player import LINGER_NS, Lateness, Outlet, Player, ignore_message, play_out, wait_until
+from bowden.replay.schedule import Selection, plan
 from eds.cia301 import Frame
 from parameters import InputError
-
-if TYPE_CHECKING:
-    from bowden.replay.player import Lateness, Player
-    from bowden.replay.playing_bus import Outlet
-    from bowden.replay.schedule import Selection
-    from trial.playback import PlayerStatus
-    from trial.read import Trial
+from trial.playback import PlayerStatus
+from trial.read import Trial
 
 
 @dataclass(frozen=True)
@@ -54,17 +51,13 @@ class Playing:
 
     def run(self, progress: Callable[[float], None] = lambda share: None) -> None:
         """Play to the end."""
-        from bowden.replay import playing_bus
-
         self.player.play(self.clock())
-        playing_bus.run(self.player, self._bus, self.clock, progress=progress)
+        play_out(self.player, self._bus, self.clock, progress=progress)
 
     def step(self) -> Frame | None:
         """Send the next frame regardless of its time; None at the end."""
-        from bowden.replay import playing_bus
-
         frame = self.player.step()
-        playing_bus.wait(self._bus, self.clock, self.clock() + playing_bus.LINGER_NS, playing_bus.ignore)
+        wait_until(self._bus, self.clock, self.clock() + LINGER_NS, ignore_message)
         return frame
 
     def seek(self, position_ns: int) -> None:
@@ -101,9 +94,6 @@ def opened(
 
     `channels` maps a recorded channel to a channel of `chosen`'s interface; without it one bus takes all of them.
     """
-    from bowden.replay.player import Player
-    from bowden.replay.schedule import plan
-
     schedule = plan(recorded.frames, selection)
     with _outlet(chosen, channels or {}) as (outlet, bus):
         player = Player(schedule, outlet.send, speed=speed, loops=loops)
@@ -126,8 +116,6 @@ def replay(
 @contextmanager
 def _outlet(chosen: BusSettings, channels: Mapping[int, str]) -> Iterator[tuple[Outlet, Any]]:
     """Return the bus of each recorded channel that is mapped; without a map one bus takes all of them."""
-    from bowden.replay.playing_bus import Outlet
-
     with ExitStack() as stack:
         if not channels:
             bus = stack.enter_context(opened_one(chosen, chosen.arguments["bitrate"]))

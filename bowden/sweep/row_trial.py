@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from bowden.bench import buses
 from bowden.models import identification
-from bowden.sweep.departure import motion
-from bowden.sweep.rows import IDENTIFIED, NOMINAL, Row, plant_model, reference, table
+from bowden.sweep.rows import IDENTIFIED, NOMINAL, Row, motion, plant_model, reference, table
 from bowden.trials import provenance, session
 from parameters import InputError
 

@@ -1,7 +1,8 @@
 """Parameters of a sweep: rows, each the complete description of one trial.
 
 A row names every parameter as "table.key", with a value of its declared type, and has been checked by the
-declaration; two equal rows are the same trial.
+declaration; two equal rows are the same trial.  The knee of a row may depart from the reference in angle and tempo;
+the desired force and its time remain the reference's.
 """
 
 import dataclasses
@@ -18,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bowden.bench import configuration
-from bowden.sweep.departure import Departure
 from bowden.trials import session
 from eds import declaration
 from eds.bench import bus_load
@@ -26,9 +26,35 @@ from eds.bench.bench_network import Network, wire
 from master.control import controller
 from master.settings import Gait
 from parameters import InputError, checked, declarations, parameter
+from physics.closure import CYCLE_POINTS
 from physics.reference import Reference
 from virtual_bus.build import GROUPS, steady
 from virtual_bus.bus_options import Options
+
+
+@dataclass(frozen=True)
+class Departure:
+    """Departure of the knee from its reference; the defaults are no departure."""
+
+    angle_rad: float = parameter(
+        0.0, "rad", "amplitude of a sine, once a gait cycle, on top of the reference", low=-0.3, high=0.3,
+        source="assumed: people do not walk a table")
+    tempo: float = parameter(
+        1.0, "", "gait cycles of the knee to one of the reference", low=0.5, high=2.0,
+        source="assumed: people do not walk to a clock")
+
+
+def motion(reference: Reference, departure: Departure) -> Reference | None:
+    """Return the knee's motion in place of `reference`; None without a departure."""
+    if departure == Departure():
+        return None
+    phase = np.linspace(0.0, 1.0, CYCLE_POINTS + 1)
+    turn = 2.0 * np.pi * phase
+    angle = np.array([reference.knee_angle(at) for at in phase]) + departure.angle_rad * np.sin(turn)
+    velocity = np.array([reference.knee_velocity(at) for at in phase])
+    slope = (velocity * reference.period_s + 2.0 * np.pi * departure.angle_rad * np.cos(turn)) / 100.0
+    return Reference(reference.period_s / departure.tempo, (angle, slope), (np.zeros_like(phase),) * 3)
+
 
 Value = float | int | str
 Row = dict[str, Value]

@@ -1,23 +1,32 @@
 """A sweep: rows that are not in the table yet are run by an executor, and entered as soon as they are done.
 
-`run_all` uses `concurrent.futures.Executor` only, whether processes of this machine or a Dask cluster run the jobs.
+`run_all` uses `concurrent.futures.Executor` only, whether processes of this machine or a Dask cluster run the jobs:
+trials of a sweep, or diagnoses of recorded trials, each by itself.
 """
+
+from __future__ import annotations
 
 import importlib
 import itertools
 import os
+import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bowden.sweep import row_trial
 from bowden.sweep.rows import IDENTIFIED, Row, placed
 from bowden.sweep.sweep_table import SweepTable
 from parameters import InputError
+
+if TYPE_CHECKING:
+    from diagnosis.finder import Finder
 
 CONNECT_S = 10
 ENDED = "the process that ran it ended by itself: out of memory, or a plug-in that ends it"
@@ -208,3 +217,56 @@ def _keep(path: Path, text: str) -> None:
     beside = path.with_suffix(".new")
     beside.write_text(text, encoding="utf-8")
     beside.replace(path)
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """Settings common to the diagnoses of all trials."""
+
+    calibration: Path | None
+    healthy: tuple[Path, ...]
+    holdout: tuple[Path, ...]
+    lowpass: float | None
+
+
+def diagnose(trial: Path, settings: DiagnosisSettings) -> dict[str, Any]:
+    """Return one trial's diagnosis as `bowden diagnose --json` gives it."""
+    from bowden.models.diagnosing import on_its_footing
+    from diagnosis.findings import Findings
+
+    began = time.perf_counter()
+    try:
+        told = on_its_footing(_finder(settings, _state(settings)).diagnose([trial], settings.holdout), [trial], None,
+                              measured=bool(settings.calibration or settings.healthy))
+    except InputError as error:
+        told = Findings("refused", warnings=[str(error)], lowpass_hz=settings.lowpass)
+    return told.as_json() | {"seconds": time.perf_counter() - began}
+
+
+@lru_cache(maxsize=1)
+def _finder(settings: DiagnosisSettings, state: tuple[tuple[int, int], ...]) -> Finder:
+    """Return the fitted diagnosis: its reference trials are read and fitted once in a process."""
+    from diagnosis.finder import Finder
+
+    return Finder(settings.calibration, settings.lowpass).examine(settings.healthy)
+
+
+def _state(settings: DiagnosisSettings) -> tuple[tuple[int, int], ...]:
+    """Return size and modification time of the files of a finder: a change requires a new finder."""
+    files = [*settings.healthy, *([] if settings.calibration is None else [settings.calibration])]
+    return tuple((told.st_size, told.st_mtime_ns) for told in (path.stat() for path in files if path.exists()))
+
+
+def diagnose_each(trials: Sequence[Path], settings: DiagnosisSettings, workers: Workers, update: Callable[[float], None]
+         ) -> dict[str, Mapping[str, Any]]:
+    """Diagnose every trial for itself; the order is that of `trials`. `update` receives the share done."""
+    results: dict[Path, Mapping[str, Any]] = {}
+
+    def finished(trial: Path, result: Any) -> None:
+        if isinstance(result, BrokenExecutor):
+            raise InputError(f"{trial}: {ENDED}; give fewer --workers, or shorter trials.") from None
+        results[trial] = result
+        update(len(results) / len(trials))
+
+    run_all((Job(trial, diagnose, (trial, settings)) for trial in trials), workers, finished)
+    return {str(trial): results[trial] for trial in trials}

@@ -57,9 +57,9 @@ class Trial:
         """Return a table for a notebook: file, how it was run, how it ended, and a row for each signal."""
         from html import escape
 
-        from trial.report import labels
+        from trial.report import words
 
-        told = labels.shown({**self.metadata, **(self.recorded.result or {})})
+        told = words.shown({**self.metadata, **(self.recorded.result or {})})
         about = "".join(f"<tr><td>{escape(name)}</td><td>{escape(str(value))}</td></tr>"
                         for name, value in told.items())
         rows = "".join(

@@ -22,8 +22,7 @@ from eds.bench.bench_network import WireLayout, wire
 from parameters import InputError
 from trial.convert.frames import ChannelNumbers, rows_of
 from trial.convert.python_can import flags_of, payload_of, time_ns_of
-from trial.decode import events
-from trial.follow import Follower
+from trial.decode import Follower, events
 from trial.record import Recorder
 from trial.signals import of_bench
 

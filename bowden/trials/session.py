@@ -95,16 +95,11 @@ def entered(sections: dict[str, Any], logbook: Path | None, config: Path | None)
     found = logbook
     if found is None and told:
         found = Path(told) if config is None else config.parent / told
-    refuse_no_logbook(found)
+    if found is not None:
+        from logbook.database import refuse_no_logbook
+
+        refuse_no_logbook(found)
     return found
-
-
-def refuse_no_logbook(folder: Path | None) -> None:
-    """Raise `InputError` for a folder that holds no logbook, before anything runs."""
-    if folder is not None:
-        from logbook.database import open_logbook
-
-        open_logbook(folder).close()
 
 
 def strides(knee: Path | None, walk: Walk) -> tuple[Stride, ...]:

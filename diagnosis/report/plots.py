@@ -12,8 +12,7 @@ import numpy as np
 
 from diagnosis.compared_signals import SignalResiduals
 from diagnosis.report.residuals import binned, bins_of, by_direction, joined, rms
-from trial.report.packing import broken
-from trial.report.page import Page, Series
+from trial.report.page import Page, Series, broken
 from trial.report.words import display_unit, words
 
 BEFORE, ADAPTED, AFTER, MEASURED = "#c2410c", "#15803d", "#2563eb", "#6b7280"

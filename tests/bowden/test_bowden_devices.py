@@ -16,8 +16,7 @@ from eds.bench.bench_network import KNEE, WireLayout, wire
 from eds.declaration import text_of
 from eds.dictionary import key
 from trial.convert.frames import rows_of
-from trial.decode import cycles
-from trial.follow import Follower
+from trial.decode import Follower, cycles
 
 VENDOR = Path(__file__).parents[1] / "eds" / "vendor_drive.eds"
 TABLE = f'[knee]\nfile = "vendor_drive.eds"\nposition = "3010"\nposition_scale = {2 * math.pi / 524_288!r}\n'

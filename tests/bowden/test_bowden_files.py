@@ -16,8 +16,8 @@ import pytest
 
 import trial
 from bowden.sweep import row_trial, rows
-from trial.assemble import TrialContent, write
 from trial.convert.frames import rows_of
+from trial.record import TrialContent, write
 
 ROWS = 5000
 Bowden = Callable[..., Any]

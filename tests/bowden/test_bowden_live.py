@@ -21,8 +21,8 @@ import pytest
 
 import trial
 from bowden.live import feeds
+from bowden.live.feeds import TrialPlayer
 from bowden.live.state import LiveState
-from bowden.live.trial_player import TrialPlayer
 from eds.bench.bench_network import Network
 from trial.mcap_file import cdr
 from trial.playback import PlayerControl

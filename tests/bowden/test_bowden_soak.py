@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from bowden.bench.soak import upper_bound
+from bowden.bench.examination import upper_bound
 from bowden.testing import CanBus
 
 Run = Callable[..., Any]

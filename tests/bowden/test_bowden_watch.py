@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from bowden.cli.app import run
-from bowden.watch.gait_windows import GaitWindows
+from bowden.watch.file_watch import GaitWindows
 from trial import read
 from trial.growing import GrowingTrial
 

@@ -175,13 +175,13 @@ def test_a_zipped_mf4_block_that_holds_more_than_it_declares_is_refused(tmp_path
     import struct
     import zlib
 
-    from trial.convert import unpacked_size
+    from trial.convert import sheets
 
     packed = zlib.compress(bytes(200 << 20), 9)
     head = struct.pack("<4s4xQQ2sBxIQQ", b"##DZ", 48 + len(packed), 0, b"DT", 0, 0, 1000, len(packed))
     (tmp_path / "lie.mf4").write_bytes(bytes(64) + head + packed)
     with pytest.raises(InputError, match=r"lie.mf4: unpacks to more than"):
-        unpacked_size.check_mdf_blocks(tmp_path / "lie.mf4")
+        sheets.check_mdf_blocks(tmp_path / "lie.mf4")
 
 
 def trial_with(tmp_path: Path, bench: str, **attached: bytes) -> Path:

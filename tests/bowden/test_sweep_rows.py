@@ -10,8 +10,8 @@ import pytest
 
 from bowden.bench import configuration
 from bowden.sweep import rows as sweep_rows
-from bowden.sweep.departure import Departure, motion
 from bowden.sweep.row_trial import bench_of, digest
+from bowden.sweep.rows import Departure, motion
 from parameters import InputError
 from physics.reference import paper_reference
 

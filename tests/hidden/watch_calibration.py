@@ -21,8 +21,7 @@ import numpy as np
 from scipy.stats import binomtest
 from threadpoolctl import threadpool_limits
 
-from bowden.watch.file_watch import DRIFT_S, NAMING
-from bowden.watch.gait_windows import GaitWindows
+from bowden.watch.file_watch import DRIFT_S, NAMING, GaitWindows
 from diagnosis.finder import diagnose
 from estimation.likelihood_data import SIGNALS, PathRecording
 from estimation.path_model import PATH_MODEL

@@ -20,7 +20,7 @@ def make(controller: str, folder: Path) -> None:
     from bowden.replay.onto_controller import INPUTS, OUTPUTS, walked
     from eds.bench.bench_network import TARGETS_COB_ID
     from trial import read
-    from trial.assemble import TrialContent, write
+    from trial.record import TrialContent, write
     from trial.signals import PDO_NAMES
 
     path = folder / f"{controller}.mcap"

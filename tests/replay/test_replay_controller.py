@@ -16,9 +16,9 @@ from bowden.trials.recorded import experiment
 from master.control.controller import CONTROLLERS
 from master.settings import Impedance
 from parameters import InputError
-from trial.assemble import TrialContent, write
 from trial.read import Trial
 from trial.read import open as opened
+from trial.record import TrialContent, write
 
 CURVE = 100
 

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from bowden.replay import onto_master
-from bowden.replay.master_comparison import compare, on_wire, said
-from bowden.replay.onto_plant import lengths_ns
-from bowden.replay.plant_residuals import commands
+from bowden.replay.onto_master import compare, on_wire, said
+from bowden.replay.onto_plant import commands, lengths_ns
 from eds.bench.bench_network import Network, wire
 from eds.cia301 import Frame
 from master.settings import Impedance

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bowden.replay.plant_residuals import PREFIX, commands, origin_ns, residuals
+from bowden.replay.onto_plant import PREFIX, commands, origin_ns, residuals
 from bowden.replay.schedule import plan
 from parameters import InputError
-from trial.assemble import TrialContent, write
 from trial.read import Trial
 from trial.read import open as opened
+from trial.record import TrialContent, write
 
 SECOND_NS = 1_000_000_000
 

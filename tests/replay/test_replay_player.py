@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bowden.replay import playing_bus
-from bowden.replay.player import Player
+from bowden.replay.player import Outlet, Player, play_out
 from bowden.replay.schedule import Schedule, Selection, plan
 from eds.cia301 import Frame
 from parameters import InputError
@@ -181,11 +180,11 @@ def test_in_virtual_time_nothing_is_late_and_frames_are_where_they_were(
     bus, heard = wire
     trial = recorded()
     part = plan(trial.frames, Selection(direction="tx", from_s=5.0, to_s=5.2))
-    outlet = playing_bus.Outlet({}, bus)
+    outlet = Outlet({}, bus)
     player = Player(part, outlet.send)
     began = bus.time_ns()
     player.play(began)
-    playing_bus.run(player, bus, bus.time_ns)
+    play_out(player, bus, bus.time_ns)
     assert outlet.lost == 0
     assert player.lateness()[1:] == (0, 0, 0)
     assert [frame.can_id for _, frame in heard] == part.frames["can_id"].tolist()
@@ -199,19 +198,19 @@ def test_in_virtual_time_nothing_is_late_and_frames_are_where_they_were(
 def test_channels_are_mapped_to_their_buses(wire: tuple[BowdenBus, list[tuple[int, Frame]]]) -> None:
     bus, heard = wire
     rows = rows_of([(i * MS, 0x180 + i, 0, 0, i % 3, False, b"") for i in range(6)])
-    outlet = playing_bus.Outlet({2: bus})
+    outlet = Outlet({2: bus})
     player = Player(plan(rows, Selection(channels=frozenset({2}))), outlet.send)
     player.play(bus.time_ns())
-    playing_bus.run(player, bus, bus.time_ns)
+    play_out(player, bus, bus.time_ns)
     assert [frame.can_id for _, frame in heard] == [0x182, 0x185]
 
 
 def test_what_a_bus_does_not_take_is_counted() -> None:
     bus = BowdenBus(f"replay-{next(CHANNELS)}", bench=Bench([]))  # nobody acknowledges
-    outlet = playing_bus.Outlet({}, bus)
+    outlet = Outlet({}, bus)
     rows = rows_of([(i * US, 0x181, 0, 0, 0, False, b"") for i in range(100)])
     player = Player(plan(rows, Selection()), outlet.send)
     player.play(bus.time_ns())
-    playing_bus.run(player, bus, bus.time_ns)
+    play_out(player, bus, bus.time_ns)
     bus.shutdown()
     assert 0 < outlet.lost < 100

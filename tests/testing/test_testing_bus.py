@@ -23,7 +23,7 @@ from bowden.testing.strategies import sdo_conversations
 from eds.cia301 import NmtState
 from eds.dictionary import read
 from parameters import InputError
-from trial.assemble import TrialContent, write
+from trial.record import TrialContent, write
 
 EDS = Path(__file__).with_name("own.eds")
 MS = 1_000_000

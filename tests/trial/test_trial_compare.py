@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import trial
-from trial.assemble import TrialContent, write
 from trial.compare import compare
+from trial.record import TrialContent, write
 
 
 def made(path: Path, rate_hz: int = 100, error_n: float = 0.0, start_ns: int = 0, config: str = "") -> trial.Trial:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from eds.bench.bench_network import Network, wire
 from trial import decode
 from trial.convert.frames import rows_of
-from trial.follow import Follower
+from trial.decode import Follower
 from trial.mcap_file import cdr
 from trial.playback import LONGEST_NS, SPEEDS, TRANSITIONS, Playback, PlayerControl, PlayerStatus, ready
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from trial import metrics
-from trial.low_pass import zero_phase
+from trial.metrics import zero_phase
 
 RATE_HZ, PERIOD_S, CYCLES, PEAK_N = 1000, 2.0, 4, 40.0
 ROWS = int(RATE_HZ * PERIOD_S * CYCLES)

@@ -17,7 +17,7 @@ import trial
 from parameters import InputError
 from trial import metrics
 from trial.read import Event
-from trial.report import labels, overview, trial_page
+from trial.report import overview, trial_page, words
 from trial.report.page import Page, Series
 
 RATE_HZ = 200
@@ -294,6 +294,6 @@ def test_the_summary_has_labels_in_words_and_folds_digests() -> None:
     told = {"peak_n": "40.0", "commit": "0a1b2c", "course": "ff00", "signal": 0, "day": {"offset_m": 1.0}, "notes": "",
             "my_rig": "7", "outcome": '"completed"', "stop_reason": "null",
             "friction_half_width_m": "0.0005158193832210658"}
-    assert labels.shown(told) == {"peak force": "40 N", "my rig": "7", "ended": "completed",
+    assert words.shown(told) == {"peak force": "40 N", "my rig": "7", "ended": "completed",
                                   "rope travel to reverse friction at homing": "0.516 mm"}
-    assert labels.folded(told) == {"commit": "0a1b2c", "course": "ff00", "signal": 0, "day": {"offset_m": 1.0}}
+    assert words.folded(told) == {"commit": "0a1b2c", "course": "ff00", "signal": 0, "day": {"offset_m": 1.0}}

@@ -1,14 +1,16 @@
 """CSV files as their writers made them: encoding, delimiter, decimal sign, comments, header, units, kind of time.
 
 Properties that the caller does not give are detected from the text; unusual detections are reported. Properties that
-the caller gives (`Dialect`) are not questioned. Rows are counted as an editor counts them. All CSV parsing is here:
-imports, curves and the diagnosis read through this module.
+the caller gives (`Dialect`) are not questioned. A date is accepted only if it is unambiguous (ISO 8601, year first,
+or day.month.year). Rows are counted as an editor counts them. All CSV parsing is here: imports, curves and the
+diagnosis read through this module.
 """
 
 import csv
+import datetime
 import io
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +20,6 @@ from numpy.typing import NDArray
 
 from parameters import InputError, parameter
 from parameters.files import content
-from trial.convert import times
 from trial.convert.lab_table import Floats, LabTable, unique, unit_of
 from trial.signals import UNITS
 
@@ -164,7 +165,7 @@ class _Reading:
         for place, begins_ns in columns.begins_ns.items():
             found.begins_ns[found.names[place]] = begins_ns
             found.units[place] = "s"
-            self.remarks.append(f"{found.names[place]} is {times.description(begins_ns)}")
+            self.remarks.append(f"{found.names[place]} is {started(begins_ns)}")
         return found
 
     def _comment_mark(self) -> str:
@@ -275,7 +276,7 @@ def _many(count: int, what: str) -> str:
 def _numeric_share(cells: Sequence[str]) -> float:
     """Return the share of cells, of those that hold something, that are numbers or times."""
     filled = [cell for cell in cells[:CELLS] if cell.strip().lower() not in UNKNOWN]
-    return sum(bool(_NUMBER.match(cell) or _COMMA_NUMBER.match(cell) or times.is_time(cell)) for cell in filled) / max(
+    return sum(bool(_NUMBER.match(cell) or _COMMA_NUMBER.match(cell) or is_time(cell)) for cell in filled) / max(
         1, len(filled))
 
 
@@ -363,7 +364,7 @@ def _by_column(columns: Sequence[Sequence[str]], comma: bool) -> _Columns:
         values, fault = _parsed(cells, comma)
         if fault is not None:
             first = next((cell for cell in cells if cell.strip().lower() not in UNKNOWN), "")
-            timed = times.seconds(cells, UNKNOWN) if times.is_time(first) else None
+            timed = time_column(cells, UNKNOWN) if is_time(first) else None
             if timed is not None:
                 values, fault = timed.seconds, None
                 found.begins_ns[place] = timed.begins_ns
@@ -397,3 +398,82 @@ def _parsed(cells: Sequence[str], comma: bool) -> tuple[Floats, tuple[int, str] 
 
 
 __all__ = ["Dialect", "decoded", "read", "reserved"]
+
+
+_ISO = re.compile(
+    r"\s*(\d{4})[-/](\d{1,2})[-/](\d{1,2})[T ]+(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?\s*"
+    r"(Z|[+-]\d{2}:?\d{2})?\s*$", re.IGNORECASE)
+_DOTTED = re.compile(
+    r"\s*(\d{1,2})\.(\d{1,2})\.(\d{4})[T ]+(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?\s*()$")
+_CLOCK = re.compile(r"\s*(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,9}))?\s*$")
+DAY_NS, SECOND_NS = 86_400_000_000_000, 1_000_000_000
+_EPOCH = datetime.datetime(1970, 1, 1)
+
+
+class TimeColumn(NamedTuple):
+    """A column of times: seconds since the first known one, and when that was, ns since 1970 (−1: day unknown)."""
+
+    seconds: NDArray[np.float64]
+    begins_ns: int
+
+
+def is_time(cell: str) -> bool:
+    """Return whether a cell is a date with a time, or a time of day."""
+    return ":" in cell and bool(_ISO.match(cell) or _DOTTED.match(cell) or _CLOCK.match(cell))
+
+
+def started(begins_ns: int) -> str:
+    """Return a sentence with the start of a column's times."""
+    if begins_ns < 0:
+        return "a time of day, taken from the first on"
+    seconds, rest = divmod(begins_ns, SECOND_NS)
+    at = _EPOCH + datetime.timedelta(seconds=seconds)
+    return f"absolute, from {at.isoformat()}.{rest // 1000:06d} on"
+
+
+def time_column(cells: Sequence[str], unknown: Container[str]) -> TimeColumn | None:
+    """Return a column's times; None if a cell is not a time."""
+    found: list[int | None] = []
+    days, before, dated = 0, -1, True
+    for cell in cells:
+        if cell.strip().lower() in unknown:
+            found.append(None)
+            continue
+        at = _absolute(cell)
+        if at is None:
+            clock = _CLOCK.match(cell)
+            if clock is None:
+                return None
+            hours, minutes, second, fraction = clock.groups()
+            at = ((int(hours) * 60 + int(minutes)) * 60 + int(second)) * SECOND_NS + _fraction(fraction)
+            days += before >= 0 and at < before - DAY_NS // 2  # past midnight
+            before, dated = at, False
+            at += days * DAY_NS
+        found.append(at)
+    first = next((at for at in found if at is not None), 0)
+    values = np.array([np.nan if at is None else (at - first) / 1e9 for at in found])
+    return TimeColumn(values, first if dated else -1)
+
+
+def _fraction(digits: str | None) -> int:
+    return int((digits or "0").ljust(9, "0"))
+
+
+def _absolute(cell: str) -> int | None:
+    iso, dotted = _ISO.match(cell), _DOTTED.match(cell)
+    if iso is not None:
+        year, month, day, hour, minute, second, fraction, zone = iso.groups()
+    elif dotted is not None:
+        day, month, year, hour, minute, second, fraction, zone = dotted.groups()
+    else:
+        return None
+    try:
+        at = datetime.datetime(int(year), int(month), int(day), int(hour), int(minute), int(second or 0))
+    except ValueError:
+        return None
+    away = 0
+    if zone and zone.upper() != "Z":
+        sign = -1 if zone[0] == "-" else 1
+        away = sign * (int(zone[1:3]) * 60 + int(zone[-2:])) * 60
+    past = at - _EPOCH
+    return (past.days * 86_400 + past.seconds - away) * SECOND_NS + _fraction(fraction)

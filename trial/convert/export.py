@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from parameters import InputError
 from parameters.files import replaced
-from trial.assemble import Progress, silent
 from trial.convert import candump
 from trial.convert.sheets import library
 from trial.read import ROWS_AT_ONCE, TrialFile
+from trial.record import Progress, silent
 
 Writer = Callable[[TrialFile, Path, Progress], int | None]
 """Writes a table of all cycles, or frames, whose number it returns."""

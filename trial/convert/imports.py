@@ -18,14 +18,14 @@ from eds.bench.bench_network import Network, WireLayout
 from eds.bench.bench_network import wire as wire_of
 from parameters import InputError
 from parameters.files import refuse_special, unpacked_limit
-from trial import assemble, decode
-from trial.assemble import Progress, TrialContent, silent
-from trial.convert import candump, clock, csv_table, foreign_mcap, sheets
+from trial import decode, record
+from trial.convert import candump, csv_table, foreign_mcap, sheets
 from trial.convert.csv_file import Dialect
 from trial.convert.csv_table import SignalSource
-from trial.convert.frames import LoggedFrames, oddities
+from trial.convert.frames import LoggedFrames, mend, oddities, rising
 from trial.convert.lab_table import LabTable
 from trial.mcap_file import cdr
+from trial.record import Progress, TrialContent, silent
 from trial.signals import UNITS
 
 Floats = NDArray[np.float64]
@@ -79,7 +79,7 @@ def import_file(
         raise InputError(f"{source}: is a CAN log, which a map does not apply to; leave out --map.")
     asked = ImportRequest(mapped, wire or wire_of(Network()), lambda share: progress(READING * share))
     content = reader(source, report, asked)
-    assemble.write(target, content, metadata={"imported_from": source.name}, result=report.as_json(),
+    record.write(target, content, metadata={"imported_from": source.name}, result=report.as_json(),
                    overwrite=overwrite, progress=lambda share: progress(READING + (1 - READING) * share))
     return report
 
@@ -184,7 +184,7 @@ def _ordered(
         raise InputError(f"{source}: row {table.rows[row]}: time_s = {seconds[row]:g} does not rise; "
                          "sort or cut the file.")
     times = np.rint(seconds[first_of_equal] * 1e9).astype(np.int64)
-    mended = clock.mend(times, source)
+    mended = mend(times, source)
     report.counts["shifted_ns"] = mended.shift_ns
     return mended.times, {name: column[first_of_equal] for name, column in columns.items()}
 
@@ -252,7 +252,7 @@ def _from_mcap(source: Path, report: ImportReport, asked: ImportRequest) -> Tria
     if found.columns:
         columns = _mapped_columns(source, found, asked.mapped, report)
         content.columns = columns
-        content.times, coarse = clock.rising(clock.mend(found.times, source).times, source)
+        content.times, coarse = rising(mend(found.times, source).times, source)
         report.counts["coarse_stamps"] = coarse
         report.counts["cycles"] = len(content.times)
     elif asked.mapped:
@@ -281,7 +281,7 @@ def _mapped_columns(
 
 
 def _from_frames(source: Path, frames: LoggedFrames, report: ImportReport, wire: WireLayout) -> TrialContent:
-    mended = clock.mend(frames.rows["time_ns"], source)
+    mended = mend(frames.rows["time_ns"], source)
     frames.rows["time_ns"] = mended.times
     report.counts |= frames.counts | oddities(frames.rows)
     report.counts |= {"frames": len(frames.rows), "clock_steps": mended.steps, "shifted_ns": mended.shift_ns}

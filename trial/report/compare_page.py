@@ -13,8 +13,7 @@ from trial.compare import FieldDifference, TrialComparison, aligned
 from trial.read import Trial
 from trial.report.force_section import FORCE, MOTION
 from trial.report.overview import BINS
-from trial.report.packing import broken, thinned
-from trial.report.page import Cell, Page, Series, Tile, number
+from trial.report.page import Cell, Page, Series, Tile, broken, number, thinned
 from trial.report.setting import known, setting
 from trial.report.trial_page import FIGURES, NEEDED
 

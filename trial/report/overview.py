@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from trial.metrics import Magnitudes
 from trial.read import Extent, RowBlock, Trial, TrialFile
-from trial.report.packing import extremes, interleaved
+from trial.report.page import extremes, interleaved
 from trial.report.setting import TrialSetting
 from trial.signals import PDO_NAMES
 

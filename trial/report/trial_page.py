@@ -8,12 +8,12 @@ from pathlib import Path
 
 from trial import metrics, paths, stride_figures
 from trial.read import Extent, TrialFile
-from trial.report import bus_section, force_section, labels
+from trial.report import bus_section, force_section
 from trial.report.bus_section import FrameBits
 from trial.report.overview import BINS, PHASE_BINS, Overview, overview
 from trial.report.page import UNKNOWN, Cell, Page, Tile, number
 from trial.report.setting import TrialSetting, known, setting, unknown
-from trial.report.words import quantity, words
+from trial.report.words import folded, quantity, shown, words
 
 FIGURES = (
     ("relative_rmse_percent", "%", "relative RMSE of END, whole gait cycles, by the peak"),
@@ -125,9 +125,9 @@ def _summary(
     rows, first_ns, last_ns, _ = view.extent
     seconds = (last_ns - first_ns) / 1e9 if rows else None
     facts = {**trial.metadata, **{name: value for name, value in result.items() if name not in SAID}}
-    page.facts({**{name: _cell(value) for name, value in labels.shown(facts).items()},
+    page.facts({**{name: _cell(value) for name, value in shown(facts).items()},
                 **_counted(rows, frames, len(trial.events)), "recorded time": quantity(seconds, "s")})
-    rest = labels.folded(facts)
+    rest = folded(facts)
     if rest:
         page.attachment("commit, digests and homing", "".join(f"{name}: {_cell(one)}\n" for name, one in rest.items()))
     missing = unknown(view.drawn)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
@@ -17,12 +16,10 @@ if TYPE_CHECKING:
     from master.motion.commission import Procedure
     from master.settings import Limits
 
-Sensor = Annotated[str, typer.Argument(metavar="SENSOR", help="start, end, or a declared load cell.",
-                                          show_default=False)]
-Axis = Annotated[str, typer.Argument(metavar="AXIS", help="servo or knee, or a declared drive.", show_default=False)]
-By = Annotated[float, typer.Option(metavar="X", help="mm of rope (pulling > 0) or degrees of knee (flexion < 0).")]
-Speed = Annotated[float, typer.Option(
-    metavar="V", help="mm/s or degrees/s at most (default 10).", show_default=False)]
+Sensor = Annotated[str, argument("SENSOR", "start, end, or a declared load cell.")]
+Axis = Annotated[str, argument("AXIS", "servo or knee, or a declared drive.")]
+By = Annotated[float, option("mm of rope (pulling > 0) or degrees of knee (flexion < 0).", metavar="X")]
+Speed = Annotated[float, option("mm/s or degrees/s at most (default 10).", metavar="V", show_default=False)]
 SPEED = 10.0
 REMEDY = "free the emergency stop (STO) first, then say this again"
 
@@ -121,20 +118,20 @@ class _Bench:
 
     def limits(self) -> Limits:
         """Return the limits of the force path; raises `InputError` for a path that is missing or not declared."""
-        from bowden.trials import commissioning
+        from bowden.trials import setup_checks
         from master.own_limits import of_path
 
         bench = self.sections["network"].bench
-        return of_path(self.sections["limits"], bench, commissioning.named(bench, self.path))
+        return of_path(self.sections["limits"], bench, setup_checks.named(bench, self.path))
 
     def perform(self, what: str, procedure: Procedure, *, pulls: str = "") -> CommandAnswer:
         """Run one procedure and return its result; `pulls` is the largest force that it may pull, as a sentence."""
-        from bowden.trials import commissioning
+        from bowden.trials import setup_checks
 
         if pulls and not terminal.quiet():
             terminal.remark(pulls)
         with terminal.waiting(what):
-            outcome, found = commissioning.perform(self.chosen, self.sections, procedure, self.path)
+            outcome, found = setup_checks.perform(self.chosen, self.sections, procedure, self.path)
         result = {"procedure": what, "outcome": "completed" if outcome.reason is None else "stopped",
                   "stop_reason": outcome.reason, "missed_cycles": outcome.missed_cycles, **found}
 

@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from bowden.cli.app import app
 from bowden.cli.bench.node import Force, refuse_other_master
 from bowden.cli.command import CommandGroup
 from bowden.cli.option_groups import Bus
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
@@ -22,11 +21,10 @@ if TYPE_CHECKING:
 lss = CommandGroup(help="Node ids and bit rates of devices by LSS (CiA 305).", rich_markup_mode=None)
 app.add_typer(lss, name="lss")
 
-Chosen = Annotated[int | None, typer.Option("--node", metavar="ID", help="The device with this node id.")]
-Identity = Annotated[str | None, typer.Option("--identity", metavar="V:P:R:S",
-                                              help="The device of this identity, hexadecimal.")]
-Store = Annotated[bool, typer.Option("--store", help="Store it, so that it outlasts a power cycle.")]
-Wait = Annotated[int, typer.Option("--timeout", metavar="MS", min=1, max=10_000, help="Time for an answer.")]
+Chosen = Annotated[int | None, option("The device with this node id.", "--node", metavar="ID")]
+Identity = Annotated[str | None, option("The device of this identity, hexadecimal.", "--identity", metavar="V:P:R:S")]
+Store = Annotated[bool, option("Store it, so that it outlasts a power cycle.", "--store")]
+Wait = Annotated[int, option("Time for an answer.", "--timeout", metavar="MS", min=1, max=10_000)]
 
 
 @lss.command()
@@ -44,7 +42,7 @@ def scan(reached: Bus, timeout: Wait = 100) -> CommandAnswer:
 
 @lss.command()
 def assign(
-    node_id: Annotated[int, typer.Argument(metavar="NEWID", help="Node id 1 … 127.", show_default=False)],
+    node_id: Annotated[int, argument("NEWID", "Node id 1 … 127.")],
     reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False, force: Force = False,
     timeout: Wait = 100,
 ) -> CommandAnswer:
@@ -76,12 +74,11 @@ def assign(
 
 @lss.command()
 def bitrate(
-    rate: Annotated[int, typer.Argument(metavar="RATE", help="bit/s: 1000000, 800000, 500000, 250000, 125000, …",
-                                        show_default=False)],
+    rate: Annotated[int, argument("RATE", "bit/s: 1000000, 800000, 500000, 250000, 125000, …")],
     reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False,
-    activate: Annotated[int | None, typer.Option(
-        "--activate", metavar="MS", min=1, max=65_535,
-        help="Switch after MS, and stay silent for MS more, instead of at the next power-on.")] = None,
+    activate: Annotated[int | None, option(
+        "Switch after MS, and stay silent for MS more, instead of at the next power-on.", "--activate", metavar="MS",
+        min=1, max=65_535)] = None,
     force: Force = False, timeout: Wait = 100,
 ) -> CommandAnswer:
     """Give a device a bit rate, in force at its next power-on, or now by --activate.

@@ -1,4 +1,4 @@
-"""`bowden monitor`: the frames of a bus or of a recorded file in words."""
+"""`bowden monitor` and `bowden record`: the frames of a bus in words, or everything on it in MCAP; both only listen."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-import typer
-
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
@@ -24,23 +23,22 @@ if TYPE_CHECKING:
     from eds.dictionary import Dictionary
 
 KINDS: Final = ("nmt", "sync", "time", "emcy", "pdo", "sdo", "heartbeat", "lss", "other")
-Source = Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Trial, log (.log, .asc, .blf), - for candump.",
-                                               show_default=False)]
+Source = Annotated[Path | None, argument("[FILE]", "Trial, log (.log, .asc, .blf), - for candump.")]
 
 
 @app.command()
 def monitor(
     reached: Bus,
     source: Source = None,
-    eds: Annotated[list[str] | None, typer.Option("--eds", metavar="ID=FILE",
-                                                  help="EDS or DCF of a node; default: the bench's.")] = None,
-    only: Annotated[str | None, typer.Option("--only", metavar="KINDS", help=f"Only {', '.join(KINDS)}.")] = None,
-    nodes: Annotated[str | None, typer.Option("--node", metavar="IDS", help="Only these node ids.")] = None,
-    seconds: Annotated[float | None, typer.Option(
-        "--for", metavar="S", min=0.0, help="Time to listen (default: until Ctrl-C; simulated: 1 s).")] = None,
-    table: Annotated[bool, typer.Option("--table", help="Only the table of rates and load, at the end.")] = False,
-    dbc: Annotated[Path | None, typer.Option("--dbc", metavar="FILE", help="Write the PDOs' layout as DBC.")] = None,
-    mf4: Annotated[Path | None, typer.Option("--mf4", metavar="FILE", help="Write the PDOs' values as MF4.")] = None,
+    eds: Annotated[list[str] | None, option(
+        "EDS or DCF of a node; default: the bench's.", "--eds", metavar="ID=FILE")] = None,
+    only: Annotated[str | None, option(f"Only {', '.join(KINDS)}.", "--only", metavar="KINDS")] = None,
+    nodes: Annotated[str | None, option("Only these node ids.", "--node", metavar="IDS")] = None,
+    seconds: Annotated[float | None, option(
+        "Time to listen (default: until Ctrl-C; simulated: 1 s).", "--for", metavar="S", min=0.0)] = None,
+    table: Annotated[bool, option("Only the table of rates and load, at the end.", "--table")] = False,
+    dbc: Annotated[Path | None, option("Write the PDOs' layout as DBC.", "--dbc", metavar="FILE")] = None,
+    mf4: Annotated[Path | None, option("Write the PDOs' values as MF4.", "--mf4", metavar="FILE")] = None,
     overwrite: options.Overwrite = False,
 ) -> CommandAnswer | int:
     """Show each frame of a bus or of a file in words.
@@ -217,3 +215,61 @@ def _nodes(nodes: str | None) -> frozenset[int]:
         return frozenset(int(one) for one in nodes.split(",")) if nodes else frozenset()
     except ValueError:
         raise InputError(f"--node {nodes}: expected node ids; write for instance 1,5.") from None
+
+
+if TYPE_CHECKING:
+    from bowden.trials.recording import BusRecording
+
+Frames = Annotated[int | None, option("End after so many frames.", metavar="N", min=1)]
+MaxSize = Annotated[float | None, option("A new file after so many MB.", metavar="MB", min=0.01)]
+MaxTime = Annotated[float | None, option("A new file after so many s of bus time.", metavar="S", min=0.001)]
+
+
+@app.command()
+def record(
+    output: options.Output, interface: options.AnyInterface, channel: options.Channel = None,
+    bitrate: options.Bitrate = None, option: options.Extra = None, *, seconds: options.Seconds = None,
+    frames: Frames = None, max_size: MaxSize = None, max_time: MaxTime = None, config: options.Config = None,
+    overwrite: options.Overwrite = False,
+) -> CommandAnswer:
+    """Record a bus, listening only.
+
+    Every frame and the control cycles that they make, until Ctrl-C; the master may be any.  With --max-size or
+    --max-time FILE-001, FILE-002 … follow each other, each whole; bowden merge makes them one.
+
+    Example: bowden record --interface virtual --channel bench --for 1 -o bus.mcap
+    """
+    import can
+
+    from bowden.bench import buses
+    from bowden.trials.recording import BusRecording
+    from eds.bench.bench_network import wire
+
+    reached = Bus(interface, channel, bitrate, option, config=config)
+    network, chosen = reached.network(), reached.chosen()
+    output_files.refuse_ending(output, ".mcap", what="a recording")
+    made = BusRecording(output, wire(network), overwrite=overwrite, about={
+        "interface": interface, "channel": channel or "", "bitrate": str(bitrate or network.bitrate)},
+        max_bytes=None if max_size is None else round(max_size * 1e6),
+        max_ns=None if max_time is None else round(max_time * 1e9))
+    failure = None
+    with buses.opened_one(chosen, network.bitrate) as heard, made:
+        terminal.remark(f"recording {interface} {channel or ''}; Ctrl-C ends it.")
+        try:
+            made.listen(heard, seconds, frames)
+        except (can.CanError, OSError) as error:
+            failure = str(error)
+        except KeyboardInterrupt:
+            made.close()
+            terminal.show(_answer(made, None))
+            raise
+    return _answer(made, failure)
+
+
+def _answer(made: BusRecording, failure: str | None) -> CommandAnswer:
+    result: dict[str, Any] = made.as_json()
+    if failure is not None:
+        terminal.remark(f"the bus has failed: {failure}; what it gave is recorded.")
+    left = f", {result['left_out']} CAN FD frames left out" if result["left_out"] else ""
+    return CommandAnswer(result, f"{', '.join(result['files'])}: {result['frames']} frames, {result['cycles']} control "
+                         f"cycles{left}.", 0 if failure is None else 1)

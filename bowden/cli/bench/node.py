@@ -15,6 +15,7 @@ from bowden.cli import options
 from bowden.cli.app import app
 from bowden.cli.command import CommandGroup, NothingGivenError
 from bowden.cli.option_groups import Bus
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
@@ -31,16 +32,13 @@ node = CommandGroup(help="Any CANopen node by its id: objects, PDOs, errors, NMT
                     rich_markup_mode=None)
 app.add_typer(node, name="node")
 
-Name = Annotated[str, typer.Argument(metavar="NODE", help="Node id 1 … 127, or servo, knee, start, end.",
-                                     show_default=False)]
-File = Annotated[Path, typer.Argument(metavar="FILE", help="DCF of the node.", show_default=False)]
-ObjectOf = Annotated[str, typer.Argument(metavar="OBJECT", help="6041, 1018:01, or a name of the EDS.",
-                                         show_default=False)]
-Eds = Annotated[Path | None, typer.Option("--eds", metavar="FILE", help="EDS or DCF, or a folder of them.")]
-Force = Annotated[bool, typer.Option("--force", help="Act even while another master is on the bus.")]
-Block = Annotated[bool, typer.Option("--block", help="Use SDO block transfer.")]
-Type = Annotated[str | None, typer.Option(
-    "--type", metavar="TYPE", help="Data type: u8 … u64, i8 … i64, f32, f64, str, hex.")]
+Name = Annotated[str, argument("NODE", "Node id 1 … 127, or servo, knee, start, end.")]
+File = Annotated[Path, argument("FILE", "DCF of the node.")]
+ObjectOf = Annotated[str, argument("OBJECT", "6041, 1018:01, or a name of the EDS.")]
+Eds = Annotated[Path | None, option("EDS or DCF, or a folder of them.", "--eds", metavar="FILE")]
+Force = Annotated[bool, option("Act even while another master is on the bus.", "--force")]
+Block = Annotated[bool, option("Use SDO block transfer.", "--block")]
+Type = Annotated[str | None, option("Data type: u8 … u64, i8 … i64, f32, f64, str, hex.", "--type", metavar="TYPE")]
 
 
 @node.command()
@@ -80,7 +78,7 @@ def info(name: Name, reached: Bus, eds: Eds = None) -> CommandAnswer:
 @node.command()
 def read(
     name: Name, place: ObjectOf, reached: Bus, eds: Eds = None, type: Type = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="File for the bytes.")] = None,
+    output: Annotated[Path | None, option("File for the bytes.", "-o", "--output", metavar="FILE")] = None,
     overwrite: options.Overwrite = False, block: Block = False,
 ) -> CommandAnswer:
     """Read one object, typed by the EDS or by --type.
@@ -111,7 +109,7 @@ def read(
 def write(
     name: Name, place: ObjectOf, reached: Bus,
     value: Annotated[str | None, typer.Argument(metavar="VALUE", help="Decimal, 0x…, text or hex bytes.")] = None,
-    given: Annotated[Path | None, typer.Option("--input", metavar="FILE", help="File with the bytes.")] = None,
+    given: Annotated[Path | None, option("File with the bytes.", "--input", metavar="FILE")] = None,
     eds: Eds = None, type: Type = None, block: Block = False, force: Force = False,
 ) -> CommandAnswer:
     """Write one object, typed by the EDS or by --type, and read it back.
@@ -153,7 +151,7 @@ def _object(one: NodeAccess, at: int) -> str:
 @node.command()
 def objects(
     name: Name, reached: Bus, eds: Eds = None,
-    changed: Annotated[bool, typer.Option("--changed", help="Only values that are not the EDS's default.")] = False,
+    changed: Annotated[bool, option("Only values that are not the EDS's default.", "--changed")] = False,
 ) -> CommandAnswer:
     """List a node's objects with their live values; * marks one that is not the EDS's default.
 
@@ -179,11 +177,9 @@ def objects(
 @node.command()
 def pdo(
     name: Name, reached: Bus, eds: Eds = None,
-    mapped: Annotated[list[str] | None, typer.Option("--map", metavar="PDO=OBJECTS",
-                                                     help="Map objects: tpdo1=6041,6064.")] = None,
-    given: Annotated[list[str] | None, typer.Option(
-        "--set", metavar="PDO.KEY=N",
-        help="cob_id, type, inhibit (100 µs) or event_timer (ms): tpdo1.type=1.")] = None,
+    mapped: Annotated[list[str] | None, option("Map objects: tpdo1=6041,6064.", "--map", metavar="PDO=OBJECTS")] = None,
+    given: Annotated[list[str] | None, option(
+        "cob_id, type, inhibit (100 µs) or event_timer (ms): tpdo1.type=1.", "--set", metavar="PDO.KEY=N")] = None,
     force: Force = False,
 ) -> CommandAnswer:
     """Show a node's PDOs with names and values, or change them in the order of CiA 301.
@@ -276,7 +272,7 @@ def _settings(given: list[str]) -> dict[int, dict[str, int]]:
 @node.command()
 def errors(
     name: Name, reached: Bus, eds: Eds = None,
-    clear: Annotated[bool, typer.Option("--clear", help="Clear the history 0x1003.")] = False,
+    clear: Annotated[bool, option("Clear the history 0x1003.", "--clear")] = False,
     force: Force = False,
 ) -> CommandAnswer:
     """Show a node's error register and error history in words; exit status 1 where an error is present.
@@ -296,9 +292,8 @@ def errors(
 
 @node.command()
 def nmt(
-    name: Annotated[str, typer.Argument(metavar="NODE", help="Node id, name, or all.", show_default=False)],
-    command: Annotated[str, typer.Argument(metavar="COMMAND", help="start, stop, preop, reset or reset-comm.",
-                                           show_default=False)],
+    name: Annotated[str, argument("NODE", "Node id, name, or all.")],
+    command: Annotated[str, argument("COMMAND", "start, stop, preop, reset or reset-comm.")],
     reached: Bus, force: Force = False,
 ) -> CommandAnswer:
     """Command the NMT state of a node or of all nodes; exit status 1 if a node does not show the new state.
@@ -322,9 +317,9 @@ def nmt(
 
 @node.command()
 def emcy(
-    code: Annotated[str, typer.Argument(metavar="CODE", help="Error code, hexadecimal.", show_default=False)],
+    code: Annotated[str, argument("CODE", "Error code, hexadecimal.")],
     eds: Eds = None,
-    profile: Annotated[int | None, typer.Option(metavar="NUMBER", help="402 or 404: profile of the device.")] = None,
+    profile: Annotated[int | None, option("402 or 404: profile of the device.", metavar="NUMBER")] = None,
 ) -> CommandAnswer:
     """Show an EMCY error code in words: the EDS's own, CiA 301, 402 and 404.
 
@@ -349,7 +344,7 @@ def backup(
     output: options.Output,
     reached: Bus,
     eds: Eds = None,
-    concise: Annotated[Path | None, typer.Option(metavar="FILE", help="Write them as concise DCF (1F22), too.")] = None,
+    concise: Annotated[Path | None, option("Write them as concise DCF (1F22), too.", metavar="FILE")] = None,
     overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Read a node's parameters and PDO settings and write them as DCF.

@@ -1,4 +1,4 @@
-"""`bowden node guard` and `bowden node serve`: node guarding of a node, and any EDS as a node on a bus."""
+"""`bowden node guard`, `serve`, `apply`, `export`: node guarding, any EDS as a node, bus.yml files of ros2_canopen."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
+from bowden import output_files
 from bowden.cli import ending, options, terminal
-from bowden.cli.bench.node import Name, node, node_id_of
+from bowden.cli.bench.node import Eds, Force, Name, node, node_id_of, refuse_other_master
 from bowden.cli.option_groups import Bus
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
@@ -25,10 +25,10 @@ FAULTS = {"drop": None, "delay": "ms", "corrupt": "bit", "duplicate": None, "sho
 @node.command()
 def guard(
     name: Name, reached: Bus,
-    period: Annotated[int, typer.Option("--period", metavar="MS", min=1, max=65_535, help="Guard time.")] = 100,
-    life: Annotated[int, typer.Option("--life", metavar="N", min=1, max=255,
-                                      help="Number of unanswered remote frames that count as a loss.")] = 3,
-    seconds: Annotated[float, typer.Option("--for", metavar="S", min=0.0, help="Time to guard.")] = 10.0,
+    period: Annotated[int, option("Guard time.", "--period", metavar="MS", min=1, max=65_535)] = 100,
+    life: Annotated[int, option(
+        "Number of unanswered remote frames that count as a loss.", "--life", metavar="N", min=1, max=255)] = 3,
+    seconds: Annotated[float, option("Time to guard.", "--for", metavar="S", min=0.0)] = 10.0,
 ) -> CommandAnswer:
     """Guard a node that has no heartbeat by remote frames; exit status 1 if it is lost.
 
@@ -57,20 +57,19 @@ def guard(
 
 @node.command()
 def serve(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="EDS or DCF, or the name of a packaged one.",
-                                        show_default=False)],
-    node_id: Annotated[int, typer.Option("--node-id", metavar="ID", help="Node id 1 … 127; 255: LSS gives it one.",
-                                         show_default=False)],
+    file: Annotated[str, argument("FILE", "EDS or DCF, or the name of a packaged one.")],
+    node_id: Annotated[int, option(
+        "Node id 1 … 127; 255: LSS gives it one.", "--node-id", metavar="ID", show_default=False)],
     reached: Bus,
-    profile: Annotated[int | None, typer.Option(
-        metavar="NUMBER", help="402: a drive; 401: inputs and outputs; without it, the objects alone.")] = None,
-    settings: Annotated[list[str] | None, typer.Option("--set", metavar="OBJECT=VALUE",
-                                                       help="Value of an object at start; repeatable.")] = None,
-    faults: Annotated[list[str] | None, typer.Option(
-        "--fault", metavar="KIND=COBID,…", help="drop, delay, corrupt, duplicate or shorten frames: "
-        "drop=585,count=2,after=10; delay=185,ms=5; repeatable.")] = None,
-    serial: Annotated[int | None, typer.Option(metavar="NUMBER", help="Serial number, 1018:04.")] = None,
-    store: Annotated[Path | None, typer.Option(metavar="FILE", help="File of what 0x1010 and LSS store.")] = None,
+    profile: Annotated[int | None, option(
+        "402: a drive; 401: inputs and outputs; without it, the objects alone.", metavar="NUMBER")] = None,
+    settings: Annotated[list[str] | None, option(
+        "Value of an object at start; repeatable.", "--set", metavar="OBJECT=VALUE")] = None,
+    faults: Annotated[list[str] | None, option(
+        "drop, delay, corrupt, duplicate or shorten frames: drop=585,count=2,after=10; delay=185,ms=5; repeatable.",
+        "--fault", metavar="KIND=COBID,…")] = None,
+    serial: Annotated[int | None, option("Serial number, 1018:04.", metavar="NUMBER")] = None,
+    store: Annotated[Path | None, option("File of what 0x1010 and LSS store.", metavar="FILE")] = None,
     seconds: options.Seconds = None,
 ) -> CommandAnswer | int:
     """Serve a node on a bus from any EDS, in wall time until Ctrl-C.
@@ -147,3 +146,52 @@ def _fault(served: CanBus, text: str) -> Any:
     except (ValueError, KeyError):
         raise InputError(f"--fault {text}: expected KIND=COBID with count=N, after=N, and ms=, bit= or size= for "
                          "delay, corrupt and shorten; write for instance drop=585,count=2.") from None
+
+
+File = Annotated[Path, argument("FILE", "bus.yml of ros2_canopen.")]
+
+
+@node.command()
+def apply(file: File, reached: Bus, force: Force = False) -> CommandAnswer:
+    """Write the SDO list, heartbeats and PDOs of a bus.yml into its nodes.
+
+    Example: bowden node export -o bus.yml && bowden node apply bus.yml
+    """
+    from eds.files import bus_yml
+    from master.node_access import bus_setup
+
+    devices = bus_yml.read(file).devices
+    with reached.linked() as link:
+        refuse_other_master(link, force)
+        done = {one.name: bus_setup.apply(link, one, file.parent) for one in devices}
+    return CommandAnswer(
+        {"file": str(file), "devices": [
+            {"name": one.name, "node": one.node_id, "done": done[one.name]} for one in devices]},
+        [f"{one.name}, node {one.node_id}: {'; '.join(done[one.name]) or 'nothing to write'}." for one in devices])
+
+
+@node.command()
+def export(
+    output: options.Output, reached: Bus, eds: Eds = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
+    """Write the nodes of a bus, with their PDOs as they are set, as a bus.yml of ros2_canopen.
+
+    Example: bowden node export -o bus.yml
+    """
+    import shutil
+
+    from eds.files import bus_yml
+    from master.node_access import bus_setup, node_scan
+
+    output_files.refuse([output], overwrite=overwrite)
+    files = node_scan.files_of(eds)
+    with reached.linked() as link:
+        devices = [bus_setup.described(link, one) for one in node_scan.scan(link, files)]
+    for path in {path for path in files for one in devices if path.name == one.eds}:
+        if not (output.parent / path.name).exists():
+            shutil.copy(path, output.parent / path.name)
+    bus_yml.write(output, bus_yml.of_devices(devices, {
+        "node_id": 127, "driver": "ros2_canopen::MasterDriver", "package": "canopen_master_driver",
+        "baudrate": reached.network().bitrate // 1000}), overwrite=overwrite)
+    return CommandAnswer({"file": str(output), "nodes": [one.node_id for one in devices]},
+                         f"{output}: {len(devices)} nodes.", 0 if devices else 1)

@@ -1,7 +1,9 @@
-"""`bowden init` and `bowden check`: a first configuration, and its faults before anything runs."""
+"""`bowden init`, `check`, `doctor`: a first configuration, and what stands between a bench and a trial."""
 
 from __future__ import annotations
 
+import datetime
+import math
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -10,27 +12,28 @@ from typing import Annotated, Any
 import typer
 
 from bowden import output_files
-from bowden.cli import options, terminal
+from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import CommandGroup
+from bowden.cli.option_groups import Bus, SimulatedOptions
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
-from parameters import declarations
+from parameters import InputError, declarations
 from parameters.files import write_whole
 
 check = CommandGroup(help="Find faults before anything runs.", rich_markup_mode=None)
 app.add_typer(check, name="check")
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="EDS or DCF files.", show_default=False)]
-ConfigFile = Annotated[Path, typer.Argument(metavar="FILE", help="bench.toml.", show_default=False)]
+Files = Annotated[list[Path], argument("FILE…", "EDS or DCF files.")]
+ConfigFile = Annotated[Path, argument("FILE", "bench.toml.")]
 
 
 @app.command()
 def init(
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")] = Path("bench.toml"),
-    shape: Annotated[str, typer.Option(
-        metavar="NAME", help="Packaged declaration: bench, bench_start_only (no END load cell), bench_no_knee_drive, "
-        "bench_antagonists (two ropes on a joint), bench_two_legs.",
-    )] = "bench",
+    output: Annotated[Path, option("File to write.", "-o", "--output", metavar="FILE")] = Path("bench.toml"),
+    shape: Annotated[str, option(
+        "Packaged declaration: bench, bench_start_only (no END load cell), bench_no_knee_drive, bench_antagonists (two "
+        "ropes on a joint), bench_two_legs.", metavar="NAME")] = "bench",
     overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Write a commented bench.toml.
@@ -134,3 +137,129 @@ def check_eds(files: Files) -> CommandAnswer:
         {"files": [str(file) for file in files], "findings": [asdict(finding) for finding in found]},
         [*map(str, found), f"{len(found)} findings in {len(files)} file{'s' if len(files) > 1 else ''}."],
         1 if found else 0)
+
+
+Checked = Annotated[Path, option("Calibration to enter the checks in.", "--calibration", metavar="FILE")]
+Weight = Annotated[float | None, option("Known weight on this load cell, N; at least 10.", metavar="N")]
+Angle = Annotated[list[float] | None, option(
+    "Knee angle by a goniometer, degrees (flexion < 0); twice, at least 40 apart.", metavar="DEG")]
+
+
+@check.command("bench")
+def check_bench(
+    calibration: Checked, start: Weight = None, end: Weight = None, knee: Angle = None,
+    path: options.ForcePath = None, *, simulated: SimulatedOptions, reached: Bus,
+) -> CommandAnswer:
+    """Compare load cells with a known weight and the knee with a goniometer.
+
+    No drive is enabled. On hardware it asks for each weight and angle in turn; on the simulated bench a hand supplies
+    them. A trial with a limb declared ([record] limb) needs these checks, no older than a day.
+
+    Example: bowden check bench --calibration calibration.toml --start 20 --end 20 --knee 0 --knee -60
+    """
+    from bowden.bench import buses
+    from bowden.trials import setup_checks
+    from master.motion import commission
+    from physics.setup_check import LEAST_N, SetupCheck, read
+
+    asked = [(of, weight, "N") for of, weight in (("start", start), ("end", end)) if weight is not None]
+    for of, weight, _ in asked:
+        if not LEAST_N <= weight <= 300.0:
+            raise InputError(f"--{of} {weight:g}: expected a weight from {LEAST_N:g} to 300 N; give another one.")
+    asked += [("knee", math.radians(angle), "rad") for angle in knee or ()]
+    if not asked:
+        raise InputError("check bench: no weight and no angle is given; name some of --start, --end and --knee.")
+    read(calibration)
+    sections, chosen = reached.sections(), reached.chosen(simulated)
+    made: list[SetupCheck] = []
+    for of, reference, unit in asked:
+        shown = f"{reference:g} N on {of}" if unit == "N" else f"{of} at {math.degrees(reference):g} degrees"
+        if not chosen.simulated and sys.stdin.isatty():
+            typer.prompt(f"{shown}, then Enter", default="", show_default=False, err=True)
+        with terminal.waiting(f"reading {of}"):
+            outcome, found = setup_checks.perform(
+                buses.handled(chosen, **{f"{of}_{'n' if unit == 'N' else 'rad'}": reference}), sections,
+                commission.reading(of), path)
+        if outcome.reason is not None:
+            raise InputError(f"{shown}: the reading was stopped ({outcome.reason}); nothing was written.")
+        made.append(SetupCheck(of, reference, found["reading"], unit,
+                               datetime.datetime.now().isoformat(timespec="minutes")))
+    setup_checks.enter(calibration, made)
+    return CommandAnswer(
+        {"calibration": str(calibration), "checks": [
+            {"of": one.of, "reference": one.reference, "reading": one.reading, "deviation": one.deviation,
+             "tolerance": one.tolerance, "unit": one.unit, "passed": one.passed, "date": one.date} for one in made]},
+        [*(f"{'ok ' if one.passed else 'BAD'} {one.in_words()}" for one in made), f"Entered in {calibration}."],
+        0 if all(one.passed for one in made) else 1)
+
+
+TimerSeconds = Annotated[float, option("Duration of the timer check.", "--for", metavar="S", min=0.1)]
+
+
+@app.command()
+def doctor(
+    reached: Bus, seconds: TimerSeconds = 5.0,
+    compiles: Annotated[bool, option(
+        "Compile the laws and end: the warm-up of a container image.", "--compile")] = False,
+    soak: Annotated[float | None, option(
+        "Instead, measure wake-ups and SDO round trips for so many minutes.", metavar="MINUTES", min=0.0)] = None,
+    output: Annotated[Path | None, option(
+        "With --soak: the report, Markdown.", "-o", "--output", metavar="FILE")] = None,
+    overwrite: options.Overwrite = False,
+) -> CommandAnswer:
+    """Check the bench; name the commands to type.
+
+    Of interface, computer, bus and nodes: each finding has its remedy.
+
+    Example: bowden doctor --interface socketcan --channel can0
+    """
+    if compiles:
+        from bowden.trials import session
+
+        session.compile_laws(simulated=True, progress=terminal.Terminal())
+        return CommandAnswer({"compiled": True}, "The laws are compiled.")
+    if soak is not None:
+        return _soak(reached, soak, output, overwrite=overwrite)
+    if output is not None:
+        raise InputError(f"-o {output}: is the report of a soak; add --soak MINUTES.")
+    from bowden.bench import examination, safety_table
+    from master.limit_holders import COLUMNS
+
+    sections = reached.sections()
+    held = safety_table.table(sections)
+    with terminal.waiting("looking"):
+        found = list(examination.examine(sections["network"], reached.chosen(), seconds))
+    faults = sum(not finding.good for finding in found)
+
+    def words() -> None:
+        for finding in found:
+            print(f"{'ok ' if finding.good else 'BAD'} {finding.what}: {finding.seen}")
+            if not finding.good:
+                print(f"      {finding.remedy}")
+        terminal.table("safety functions", COLUMNS, [row.cells for row in held])
+        print(f"{faults} faults.")
+
+    return CommandAnswer({"findings": [
+        {"what": finding.what, "good": finding.good, "seen": finding.seen,
+         "remedy": None if finding.good else finding.remedy} for finding in found], "faults": faults,
+        "safety_functions": safety_table.as_objects(held)}, words, 1 if faults else 0)
+
+
+def _soak(reached: Bus, minutes: float, output: Path | None, *, overwrite: bool) -> CommandAnswer:
+    """Soak the bus and print or write the report; 1 where no node answered or the bus had errors."""
+    from bowden.bench import examination
+    from master.network.host_computer import prepared
+    from master.node_access.node_scan import scan
+
+    output_files.refuse([output], overwrite=overwrite)
+    with reached.linked() as link, ending.interrupted() as ended, prepared() as refused:
+        nodes = [one.node_id for one in scan(link, []) if one.identity is not None]
+        figures = examination.soak(link, nodes, minutes, ended)
+    text = examination.as_text(figures, f"{reached.interface or 'the virtual bus'} {reached.channel or ''}".strip())
+    text += "".join(f"\n{sentence}\n" for sentence in refused)
+    if output is not None:
+        write_whole(output, text, overwrite=True)
+    return CommandAnswer(
+        {**asdict(figures), "file": None if output is None else str(output)},
+        text if output is None else f"{output}: {len(figures.late_ns)} waits, {len(nodes)} nodes.",
+        0 if nodes and not figures.error_frames and not figures.unanswered else 1)

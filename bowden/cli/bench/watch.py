@@ -1,40 +1,123 @@
-"""`bowden watch`: diagnosis of a trial that another process writes, or of a bus that is recorded meanwhile."""
+"""`bowden live` and `bowden watch`: a trial or a running bus shown in a browser, or diagnosed while it is recorded.
+
+Both receive and never send a frame; requests of a page reach the player of a recording only.
+"""
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
 
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
 from bowden.cli.option_groups import Bus, watched_bench
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
+
+if TYPE_CHECKING:
+    from bowden.live.web import LivePage
+
+FRAME_S = 1 / 60  # between two looks at the clock
+PlayedTrial = Annotated[Path | None, argument("TRIAL", "A recorded trial.")]
+Web = Annotated[str, option(
+    "Address of the page; port 0: a free one; 0.0.0.0: open to other computers.", metavar="[HOST:]PORT")]
+Speed = Annotated[float, option("Playing speed, 0.001 … 1000 times real time.", metavar="X")]
+
+
+@app.command()
+def live(
+    trial: PlayedTrial = None, *, reached: Bus, web: Web = "8765", speed: Speed = 1.0, seconds: options.Seconds = None,
+) -> int:
+    """Show a trial or a running bus in a browser, live.
+
+    The page plays a trial with play, pause, seek and speed.  A bus is only listened to.
+
+    Example: bowden live trial.mcap --web 8080 --for 5
+    """
+    if (trial is None) == (reached.interface is None):
+        raise NothingGivenError("TRIAL | --interface NAME",
+                                "bowden live shows a trial or a bus; give either a file or --interface.")
+    if trial is not None:
+        return _play(trial, reached, speed, web, ending.after(seconds))
+    return _follow_bus(reached, web, ending.after(seconds))
+
+
+def _show_page(page: LivePage) -> None:
+    terminal.show(CommandAnswer({"web": page.url, "port": page.port}, f"page: {page.url}"))
+    sys.stdout.flush()
+
+
+def _play(path: Path, reached: Bus, speed: float, web: str, over: Callable[[], bool]) -> int:
+    from bowden.bench import configuration
+    from bowden.live import feeds
+    from bowden.live.feeds import TrialPlayer
+    from bowden.live.web import LivePage
+    from trial.paths import names
+    from trial.playback import SPEEDS
+    from trial.read import open as opened
+
+    if not SPEEDS[0] <= speed <= SPEEDS[1]:
+        raise InputError(f"--speed {speed:g}: expected {SPEEDS[0]:g} … {SPEEDS[1]:g}; give another one.")
+    trial = opened(path)
+    shown = feeds.state(path.name, "recorded", configuration.read(reached.config)["network"], names(trial) or ("",))
+    player = TrialPlayer(trial, speed, time.monotonic_ns, shown)
+    with closing(LivePage(shown, web, None, feeds.RECORDED, player.request)) as page:
+        _show_page(page)
+        while not over():
+            player.look()
+            time.sleep(FRAME_S)
+    return 0
+
+
+def _follow_bus(reached: Bus, web: str, over: Callable[[], bool]) -> int:
+    import can
+
+    from bowden.bench import buses
+    from bowden.live import feeds
+    from bowden.live.web import LivePage
+
+    network = reached.network()
+    shown = feeds.state(f"{reached.interface} {reached.channel or ''}".strip(), "bus", network, decode_events=True)
+    with buses.opened_one(reached.chosen(), network.bitrate) as bus, \
+            closing(LivePage(shown, web, None, feeds.OTHER_PROCESS)) as page:
+        _show_page(page)
+        feed = feeds.BusFeed(network, shown)
+        try:
+            while not over():
+                message = bus.recv(FRAME_S)
+                if message is not None:
+                    feed.take(message)
+        except (can.CanError, OSError) as error:
+            terminal.remark(f"the bus has failed: {error}.")
+            shown.status("ended", f"the bus has failed: {error}")
+            return 1
+    return 0
+
 
 if TYPE_CHECKING:
     from bowden.watch.file_watch import FileWatch, WatchedBench
     from estimation.running_evidence import WatchVerdict
 
-Written = Annotated[Path | None, typer.Argument(
-    metavar="TRIAL", help="Trial that is being written, by bowden trial or bowden record.", show_default=False)]
-Recorded = Annotated[Path | None, typer.Option(
-    "-o", "--output", metavar="FILE", help="With --interface: where the bus is recorded.")]
-Book = Annotated[Path | None, typer.Option(
-    metavar="DIR", help="Logbook of the bench, in place of --healthy and for the scatter between sessions.")]
+Written = Annotated[Path | None, argument("TRIAL", "Trial that is being written, by bowden trial or bowden record.")]
+Recording = Annotated[Path | None, option(
+    "With --interface: where the bus is recorded.", "-o", "--output", metavar="FILE")]
+Book = Annotated[Path | None, option(
+    "Logbook of the bench, in place of --healthy and for the scatter between sessions.", metavar="DIR")]
 LOOK_S = 0.1
 """Time between two looks at the file, s."""
 
 
 @app.command()
 def watch(
-    trial: Written = None, output: Recorded = None, healthy: options.Healthy = None, logbook: Book = None, *,
+    trial: Written = None, output: Recording = None, healthy: options.Healthy = None, logbook: Book = None, *,
     reached: Bus, seconds: options.Seconds = None, path: options.ForcePath = None, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Diagnose a trial while it is written, or a bus that is only listened to.
@@ -44,12 +127,12 @@ def watch(
     Example: bowden trial --cycles 3 -o good.mcap && bowden watch trial.mcap --healthy good.mcap
     """
     from bowden.models import logbook_entries
-    from bowden.trials import session
+    from logbook.database import refuse_no_logbook
 
     if (trial is None) == (reached.interface is None):
         raise NothingGivenError("TRIAL | --interface NAME",
                                 "bowden watch reads a trial or a bus; give either a file or --interface.")
-    session.refuse_no_logbook(logbook)
+    refuse_no_logbook(logbook)
     bench = replace(watched_bench(healthy, logbook), path=path or (
         None if logbook is None else logbook_entries.path_of(logbook)))
     if trial is not None:

@@ -9,12 +9,11 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
@@ -24,30 +23,25 @@ if TYPE_CHECKING:
     from diagnosis.findings import Findings
     from estimation.data.table import Table
 
-Trials = Annotated[list[Path] | None, typer.Argument(
-    metavar="TRIAL…", help="MCAP, or CSV (.gz) with canonical headers.", show_default=False)]
-Holdout = Annotated[list[Path] | None, typer.Option(metavar="TRIAL", help="Never fitted, only judged; repeatable.")]
-Extended = Annotated[Path | None, typer.Option(
-    "-o", "--output", metavar="FILE", help="extended.toml: named effects, for --plant-model and --controller-model.")]
-Report = Annotated[Path | None, typer.Option(metavar="FILE", help="One HTML page that needs no network.")]
-Figures = Annotated[Path | None, typer.Option(
-    metavar="DIR", help="Folder for pictures (PNG) and tables (CSV).")]
-Tracked = Annotated[tuple[Path, Path] | None, typer.Option(
-    metavar="BEFORE AFTER", help="With --report: the two trials of bowden verify, shown in it.")]
-Each = Annotated[bool, typer.Option("--each", help="Diagnose each TRIAL separately, several at a time.")]
-Workers = Annotated[int | None, typer.Option(
-    metavar="COUNT", min=1, help="With --each: processes (default: one a processor).")]
-Scheduler = Annotated[str | None, typer.Option(
-    metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
-Planned = Annotated[str | None, typer.Option(
-    "--plan", metavar="EXPERIMENT", autocompletion=options.experiments,
-    help="Without a trial: smallest size of each effect that gait, or an experiment of bowden trial --experiment, "
-    "would show.")]
-Terms = Annotated[bool, typer.Option(
-    "--terms", help="If effects do not explain the whole trial, search terms, too, as bowden discover.")]
-Effects = Annotated[list[Path] | None, typer.Option(
-    metavar="FILE", help="Effects of your own, TOML, beside those of the catalogue; repeatable.")]
-Noise = Annotated[float | None, typer.Option(metavar="N", help="With --plan: noise of both tension sensors, 1σ.")]
+Trials = Annotated[list[Path] | None, argument("TRIAL…", "MCAP, or CSV (.gz) with canonical headers.")]
+Holdout = Annotated[list[Path] | None, option("Never fitted, only judged; repeatable.", metavar="TRIAL")]
+Extended = Annotated[Path | None, option(
+    "extended.toml: named effects, for --plant-model and --controller-model.", "-o", "--output", metavar="FILE")]
+Report = Annotated[Path | None, option("One HTML page that needs no network.", metavar="FILE")]
+Figures = Annotated[Path | None, option("Folder for pictures (PNG) and tables (CSV).", metavar="DIR")]
+Tracked = Annotated[tuple[Path, Path] | None, option(
+    "With --report: the two trials of bowden verify, shown in it.", metavar="BEFORE AFTER")]
+Each = Annotated[bool, option("Diagnose each TRIAL separately, several at a time.", "--each")]
+Workers = Annotated[int | None, option("With --each: processes (default: one a processor).", metavar="COUNT", min=1)]
+Scheduler = Annotated[str | None, option("With --each: Dask scheduler to run on, host:port.", metavar="ADDRESS")]
+Planned = Annotated[str | None, option(
+    "Without a trial: smallest size of each effect that gait, or an experiment of bowden trial --experiment, would "
+    "show.", "--plan", metavar="EXPERIMENT", autocompletion=options.experiments)]
+Terms = Annotated[bool, option(
+    "If effects do not explain the whole trial, search terms, too, as bowden discover.", "--terms")]
+Effects = Annotated[list[Path] | None, option(
+    "Effects of your own, TOML, beside those of the catalogue; repeatable.", metavar="FILE")]
+Noise = Annotated[float | None, option("With --plan: noise of both tension sensors, 1σ.", metavar="N")]
 
 READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
 """Shares of the diagnosis that are complete when reading, searching and writing begin."""
@@ -64,8 +58,8 @@ def diagnose(
     report: Report = None, figures: Figures = None, terms: Terms = False, effects: Effects = None,
     tracked: Tracked = None, each: Each = False,
     workers: Workers = None, scheduler: Scheduler = None,
-    logbook: Annotated[Path | None, typer.Option(
-        metavar="DIR", help="Logbook to enter the verdict in; it replaces --healthy.")] = None,
+    logbook: Annotated[Path | None, option(
+        "Logbook to enter the verdict in; it replaces --healthy.", metavar="DIR")] = None,
     plan: Planned = None, peak: options.Peak = None, period: options.Period = None, cycles: options.Cycles = None,
     noise: Noise = None, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
@@ -121,9 +115,9 @@ def _of_logbook(logbook: Path, healthy: list[Path] | None, trials: list[Path]
                 ) -> tuple[list[Path] | None, dict[str, float] | None]:
     """Return reference trials, the logbook's where none are given, and its deviations between sessions."""
     from bowden.models import logbook_entries
-    from bowden.trials import session
+    from logbook.database import refuse_no_logbook
 
-    session.refuse_no_logbook(logbook)
+    refuse_no_logbook(logbook)
     found, deviations = logbook_entries.reference_trials(logbook, healthy)
     same = {trial.resolve() for trial in trials}
     return [path for path in found if path.resolve() not in same], deviations
@@ -142,16 +136,16 @@ def _path_of(logbook: Path, path: str | None) -> str | None:
 
 
 def _leave_out(given: dict[str, Any], names: Iterable[str], reason: str) -> None:
-    for option in names:
-        if given[option]:
-            raise InputError(f"{reason}; leave {option} out.")
+    for name in names:
+        if given[name]:
+            raise InputError(f"{reason}; leave {name} out.")
 
 
 def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, Any]) -> list[Path]:
     """Return the trials; raises `InputError` for options that do not belong beside each other."""
-    for option, value in asked.items():
+    for name, value in asked.items():
         if value is not None:
-            raise InputError(f"{option} belongs to --plan; leave it out, or name an experiment with --plan.")
+            raise InputError(f"{name} belongs to --plan; leave it out, or name an experiment with --plan.")
     if not trials:
         raise NothingGivenError("TRIAL... | --plan EXPERIMENT",
                                 "diagnose: no trial given; name at least one, or an experiment with --plan.")
@@ -159,9 +153,9 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
         _leave_out(given, ("-o", "--report", "--figures", "--terms", "--effects", "--tracked", "--logbook",
                              "--path"),
                    "--each gives a verdict for every trial and writes none")
-    for option in ("--workers", "--scheduler"):
-        if given[option] and not given["--each"]:
-            raise InputError(f"{option} belongs to --each; leave it out, or diagnose every trial for itself.")
+    for name in ("--workers", "--scheduler"):
+        if given[name] and not given["--each"]:
+            raise InputError(f"{name} belongs to --each; leave it out, or diagnose every trial for itself.")
     if given["--tracked"] and not given["--report"]:
         raise InputError("--tracked is shown in the report; name one with --report.")
     return trials
@@ -172,11 +166,11 @@ def _each(
     where: tuple[str | None, int | None],
 ) -> CommandAnswer:
     """Diagnose every trial for itself; status 0 with a result for each, 1 if some were refused, 2 if all were."""
-    from bowden.sweep import diagnose_each, run
+    from bowden.sweep import run
 
-    given = diagnose_each.DiagnosisSettings(calibration, tuple(healthy), tuple(holdout), lowpass)
+    given = run.DiagnosisSettings(calibration, tuple(healthy), tuple(holdout), lowpass)
     with run.workers_of(*where) as crew, terminal.progress("diagnosing") as update:
-        told = diagnose_each.each(trials, given, crew, update)
+        told = run.diagnose_each(trials, given, crew, update)
     refused = sum(one["verdict"] == "refused" for one in told.values())
     return CommandAnswer({"trials": told}, lambda: _tell_each(told, lowpass),
                          2 if refused == len(told) else 1 if refused else 0)

@@ -1,35 +1,106 @@
-"""`bowden identify`: measure a bench by the paper's procedures, or fit its recorded trials, into a calibration."""
+"""`bowden identify` and `bowden fit`: measure a bench into a calibration, or fit a bench model to recorded trials."""
 
 from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.models import scalars_table
 from bowden.cli.option_groups import Bus, SimulatedOptions
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
-from parameters import InputError
+from parameters import InputError, declarations
 from parameters.files import write_whole
+
+if TYPE_CHECKING:
+    from estimation.bench_fit import FittedBench
+
+HealthyTrials = Annotated[list[Path], argument(
+    "TRIAL…", "Healthy trials of one bench: MCAP, or CSV (.gz) with canonical headers.")]
+FittedModel = Annotated[Path, option("model.toml to write.", "-o", "--output", metavar="FILE")]
+
+
+@app.command()
+def fit(
+    trials: HealthyTrials, output: FittedModel, path: options.ForcePath = None, lowpass: options.Lowpass = None,
+    logbook: options.Logbook = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
+    """Fit calibration and simulation of a bench, from its healthy trials.
+
+    Any motion, own or imported: rope position, knee angle (none: locked) and START, END beside it.  The file is a
+    calibration as of bowden identify, too.  A rig of another kind (a seal, a turning axis, a motor) has its own terms
+    fitted.
+
+    Example: bowden fit good.mcap -o model.toml
+    """
+    from bowden.models.diagnosing import table_of
+    from estimation import bench_fit
+    from logbook.database import refuse_no_logbook
+
+    refuse_no_logbook(logbook)
+    output_files.refuse([output], overwrite=overwrite, inputs=trials)
+    output_files.refuse_ending(output, ".toml", what="a bench model")
+    with terminal.waiting("fitting"):
+        found = bench_fit.fit([table_of(file, path) for file in trials], lowpass)
+    write_whole(output, found.text(), overwrite=True)
+    if logbook is not None:
+        from bowden.models import logbook_entries
+
+        logbook_entries.add_model(logbook, "fit", output)
+    known = None if found.rig is not None else found.model.calibration
+    result: dict[str, Any] = {"model": str(output), **found.as_json(), **scalars_json(known)}
+    return CommandAnswer(result, lambda: _tell_fit(output, found))
+
+
+def _tell_fit(output: Path, found: FittedBench) -> None:
+    if found.rig is None:
+        show_scalars("calibration", found.model.calibration)
+    title = "constants of the simulation" if found.rig is None else "constants"
+    terminal.table(title, ("constant", "value", "95 % interval", "unit"), [
+        (name, f"{c.value:.4g}", f"{c.low:.4g} … {c.high:.4g}", c.unit)
+        for name, c in found.constants.items() if c.determined])
+    if found.rig is not None:
+        _tell_rig(found)
+    else:
+        _tell_bench(found)
+    for warning in found.warnings:
+        print(f"Warning: {warning}")
+    print(f"Model: {output}")
+
+
+def _tell_rig(found: FittedBench) -> None:
+    print(f"A rig of another kind than the bench; terms found: {', '.join(found.rig or ()) or 'none'}.")
+    terminal.table("measured less predicted, on the last part of each trial, which the fit had not seen", (
+        "signal", "RMS", "of a spread of", "unit"), [
+        (name, terminal.number(row["unseen"]), terminal.number(row["spread"]), row["unit"])
+        for name, row in found.relations.items()])
+
+
+def _tell_bench(found: FittedBench) -> None:
+    print(f"Not determined by these trials: {', '.join(found.undetermined)}.")
+    terminal.table("measured less simulated, on the last part of each trial, which the fit had not seen", (
+        "signal", "RMS (N)", "peak (N)"), [
+        (name, terminal.number(row["rms_n"]), terminal.number(row["peak_n"], 1))
+        for name, row in found.figures.items()])
+
 
 if TYPE_CHECKING:
     from bowden.models.identification import IdentificationResult
 
 What = Annotated[str, typer.Argument(
     metavar="WHAT", help="stiffness, swing, friction, sensors, gait (on a calibration) or all.")]
-Guess = Annotated[Path | None, typer.Option("--calibration", metavar="FILE", help="Calibration to start from.")]
-From = Annotated[list[Path] | None, typer.Option(
-    "--from", metavar="TRIAL", help="Fit recorded experiments in place of measuring; repeatable.")]
-Picture = Annotated[Path | None, typer.Option(
-    metavar="FILE", help="Draw the paper's Figs. 9 and 10 (png, svg, pdf).")]
-NoGait = Annotated[bool, typer.Option(
-    "--no-gait", help="Leave out the gait trials that end identify all: the calibration has no discrepancy then.")]
+Guess = Annotated[Path | None, option("Calibration to start from.", "--calibration", metavar="FILE")]
+From = Annotated[list[Path] | None, option(
+    "Fit recorded experiments in place of measuring; repeatable.", "--from", metavar="TRIAL")]
+Picture = Annotated[Path | None, option("Draw the paper's Figs. 9 and 10 (png, svg, pdf).", metavar="FILE")]
+NoGait = Annotated[bool, option(
+    "Leave out the gait trials that end identify all: the calibration has no discrepancy then.", "--no-gait")]
 
 
 @app.command()
@@ -48,8 +119,9 @@ def identify(
     from bowden.models import identification
     from bowden.trials import session
     from bowden.trials.force_paths import file_of
+    from logbook.database import refuse_no_logbook
 
-    session.refuse_no_logbook(logbook)
+    refuse_no_logbook(logbook)
     if picture is not None and what in ("sensors", "gait"):
         raise InputError(f"--picture {picture}: identify {what} measures no loop of Figs. 9 and 10; leave it out.")
     output_files.refuse_ending(output, ".toml", what="a calibration")
@@ -102,11 +174,11 @@ def _written(found: Sequence[IdentificationResult], output: Path, source: str, p
     objects = {one.path: {
         "calibration": None if one.calibration is None else str(files[one.path]), "trial": source,
         "outcome": "completed" if one.reason is None else "stopped", "stop_reason": one.reason,
-        **scalars_table.as_json(one.calibration)} for one in found}
+        **scalars_json(one.calibration)} for one in found}
 
     def words() -> None:
         for one in found:
-            _tell(one, files[one.path], source)
+            _tell_identified(one, files[one.path], source)
         if last:
             print(last)
 
@@ -114,10 +186,41 @@ def _written(found: Sequence[IdentificationResult], output: Path, source: str, p
                          ending.status_of("completed" if found[0].reason is None else "stopped", found[0].reason))
 
 
-def _tell(found: IdentificationResult, output: Path, source: str) -> None:
+def _tell_identified(found: IdentificationResult, output: Path, source: str) -> None:
     if found.calibration is None:
         print(f"Stopped: {found.reason}; no calibration was written. Trial: {source}")
         return
     if found.reason is not None:
         print(f"Stopped in a gait trial: {found.reason}; the discrepancy is of the trials before it.")
-    scalars_table.show(f"{output}, measured in {source}", found.calibration)
+    show_scalars(f"{output}, measured in {source}", found.calibration)
+
+
+if TYPE_CHECKING:
+    from physics.calibration import Calibration
+
+
+def scalars_json(found: Calibration | None) -> dict[str, Any]:
+    """Return `scalars`, those that a trial determined, and `discrepancy`; empty and None without a calibration."""
+    beyond = None if found is None else found.discrepancy
+    return {"scalars": {} if found is None else _scalar_rows(found),
+            "discrepancy": None if beyond is None else {"prior": beyond.prior, "residual": beyond.residual}}
+
+
+def show_scalars(title: str, found: Calibration) -> None:
+    """Print the scalars with their 95 % intervals, and the discrepancy."""
+    terminal.table(title, ("scalar", "unit", "value", "95 % low", "high", "R²"), [
+        (name, row["unit"] or "1", f"{row['value']:.4g}",
+         *("–" if row[key] != row[key] else f"{row[key]:.4g}" for key in ("low", "high", "r_squared")))
+        for name, row in _scalar_rows(found).items()])
+    if found.discrepancy is not None:
+        print(f"Discrepancy START → END in the gait trials: {100.0 * found.discrepancy.prior:.1f} % of END, its model "
+              f"leaves {100.0 * found.discrepancy.residual:.1f} %.")
+
+
+def _scalar_rows(found: Calibration) -> dict[str, dict[str, Any]]:
+    return {
+        name: {"value": getattr(found, name), "unit": declared.unit, "low": proof.low, "high": proof.high,
+               "r_squared": proof.r_squared}
+        for name, _, declared in declarations(type(found))
+        if (proof := found.evidence.get(name)) is not None and proof.trial
+    }

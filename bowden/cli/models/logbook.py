@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import CommandGroup
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
@@ -21,25 +20,22 @@ if TYPE_CHECKING:
 logbook = CommandGroup(help="Track a bench's constants over months.", rich_markup_mode=None)
 app.add_typer(logbook, name="logbook")
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The logbook's folder.", show_default=False)]
-Files = Annotated[list[Path], typer.Argument(
-    metavar="FILE…", help="Trials (.mcap) or tables (CSV, Parquet, …).", show_default=False)]
-Name = Annotated[str, typer.Option("--name", metavar="TEXT", help="Name of the bench (default: the folder's).")]
-References = Annotated[int, typer.Option(
-    metavar="COUNT", help="First sessions, by date, that are the reference; a change is stated after them.")]
-Most = Annotated[int, typer.Option("--most", metavar="COUNT", min=1, help="Newest trials to list.")]
-Number = Annotated[int | None, typer.Option("--trial", metavar="NUMBER", help="Show one trial instead of the bench.")]
-Limits = Annotated[list[str] | None, typer.Option(
-    "--limit", metavar="NAME=VALUE", help="Forecast when a constant reaches a value, SI; repeatable.")]
-Table = Annotated[str, typer.Option(
-    metavar="NAME", help="trials, sessions, constants, verdicts, notes or models.")]
-Text = Annotated[str, typer.Argument(metavar="TEXT", help="Maintenance, in words.", show_default=False)]
-Part = Annotated[list[str] | None, typer.Option(
-    metavar="NAME", help="Part (cable, fabric, knee, start, end, drive) or constant that is new; repeatable.",
+Folder = Annotated[Path, argument("DIR", "The logbook's folder.")]
+Files = Annotated[list[Path], argument("FILE…", "Trials (.mcap) or tables (CSV, Parquet, …).")]
+Name = Annotated[str, option("Name of the bench (default: the folder's).", "--name", metavar="TEXT")]
+References = Annotated[int, option(
+    "First sessions, by date, that are the reference; a change is stated after them.", metavar="COUNT")]
+Most = Annotated[int, option("Newest trials to list.", "--most", metavar="COUNT", min=1)]
+Number = Annotated[int | None, option("Show one trial instead of the bench.", "--trial", metavar="NUMBER")]
+Limits = Annotated[list[str] | None, option(
+    "Forecast when a constant reaches a value, SI; repeatable.", "--limit", metavar="NAME=VALUE")]
+Table = Annotated[str, option("trials, sessions, constants, verdicts, notes or models.", metavar="NAME")]
+Text = Annotated[str, argument("TEXT", "Maintenance, in words.")]
+Part = Annotated[list[str] | None, option(
+    "Part (cable, fabric, knee, start, end, drive) or constant that is new; repeatable.", metavar="NAME",
     autocompletion=lambda incomplete: _completed(incomplete))]
-After = Annotated[str | None, typer.Option(
-    metavar="LABEL", help="Session after which it was done (default: the newest by date).")]
-Everything = Annotated[bool, typer.Option("--all", help="All constants, in place of the ten that moved most.")]
+After = Annotated[str | None, option("Session after which it was done (default: the newest by date).", metavar="LABEL")]
+Everything = Annotated[bool, option("All constants, in place of the ten that moved most.", "--all")]
 SHOWN = 10
 """Constants that `show` prints without --all."""
 
@@ -103,7 +99,7 @@ def show_bench(
 
     Example: bowden logbook init bench1 && bowden logbook show bench1 --limit cable=0.3
     """
-    from bowden.models.change_diagnosis import diagnosed_state
+    from bowden.models.logbook_entries import diagnosed_state
     from logbook.database import open_logbook
 
     with open_logbook(folder) as book:
@@ -123,7 +119,7 @@ def report_bench(folder: Folder, output: options.Output, limit: Limits = None,
 
     Example: bowden logbook init bench1 && bowden logbook report bench1 -o bench1.html
     """
-    from bowden.models.change_diagnosis import diagnosed_state
+    from bowden.models.logbook_entries import diagnosed_state
     from logbook import bench_page
     from logbook.database import FILE, open_logbook
 
@@ -159,8 +155,8 @@ def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After
 
     Example: bowden logbook init bench1 && bowden logbook note bench1 "cable replaced" --part cable
     """
+    from logbook.bench_state import constants_of
     from logbook.database import open_logbook
-    from logbook.maintenance import constants_of
 
     if not text.strip():
         raise InputError("logbook note: the text is empty; write what was done.")
@@ -176,8 +172,7 @@ def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After
 
 
 def _completed(incomplete: str) -> list[str]:
-    from logbook.bench_state import CONSTANTS
-    from logbook.maintenance import PARTS
+    from logbook.bench_state import CONSTANTS, PARTS
 
     return [name for name in (*PARTS, *CONSTANTS) if name.startswith(incomplete)]
 

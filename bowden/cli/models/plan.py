@@ -1,32 +1,36 @@
-"""`bowden plan`: the experiment that decides between effects which the trials so far do not separate."""
+"""`bowden plan`, `discover`, `mend`: what follows a diagnosis that names no single effect."""
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from bowden.cli import options, terminal
+from bowden import output_files
+from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
+from bowden.cli.option_groups import BusAlone, SimulatedOptions
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
+from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from bowden.models.experiment_plan import ExperimentPlan
 
-Trials = Annotated[list[Path] | None, typer.Argument(
-    metavar="TRIAL…", help="Trials of one session: a gait, and experiments that were run.", show_default=False)]
-Book = Annotated[Path | None, typer.Option(
-    metavar="DIR", help="Logbook: its newest ambiguous verdict; with TRIAL, its reference trials.")]
-Model = Annotated[Path | None, typer.Option(
-    metavar="FILE", help="Bench model with effects, TOML: that bench is simulated.")]
+Trials = Annotated[list[Path] | None, argument(
+    "TRIAL…", "Trials of one session: a gait, and experiments that were run.")]
+PlanBook = Annotated[Path | None, option(
+    "Logbook: its newest ambiguous verdict; with TRIAL, its reference trials.", metavar="DIR")]
+Model = Annotated[Path | None, option("Bench model with effects, TOML: that bench is simulated.", metavar="FILE")]
 
 
 @app.command("plan")
-def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logbook: Book = None, model: Model = None,
-                    path: options.ForcePath = None) -> CommandAnswer:
+def plan_experiment(
+    trials: Trials = None, healthy: options.Healthy = None, logbook: PlanBook = None, model: Model = None,
+    path: options.ForcePath = None,
+) -> CommandAnswer:
     """Find the shortest experiment that separates the effects of an ambiguity set.
 
     Predicted by simulating this bench under the motion of each experiment of the catalogue.
@@ -52,10 +56,11 @@ def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logb
         else:
             assert logbook is not None
             found = experiment_plan.of_logbook(logbook)
-    return CommandAnswer(found.as_json(), lambda: _tell(found, str(healthy[-1]) if healthy else "a reference trial"))
+    good = str(healthy[-1]) if healthy else "a reference trial"
+    return CommandAnswer(found.as_json(), lambda: _tell_plan(found, good))
 
 
-def _tell(found: ExperimentPlan, good: str) -> None:
+def _tell_plan(found: ExperimentPlan, good: str) -> None:
     if len(found.among) < 2:
         print(f"Verdict: {found.verdict}. There is nothing to decide between.")
         return
@@ -80,3 +85,120 @@ def _tell(found: ExperimentPlan, good: str) -> None:
         print(f"First, with nothing wrong: bowden trial --experiment {proposed.name} -o {proposed.name}_good.mcap; "
               "give it with --healthy.")
     print(f"Run: bowden trial --experiment {proposed.name} -o {proposed.name}.mcap, then diagnose it beside the trial.")
+
+
+if TYPE_CHECKING:
+    from bowden.models.diagnosing import DiscoveryResult
+
+DiscoveredTrials = Annotated[list[Path] | None, argument("TRIAL…", "Trials of one session, MCAP or CSV.")]
+TermsFile = Annotated[Path | None, option(
+    "extended.toml with the terms, for --plant-model and --controller-model.", "-o", "--output", metavar="FILE")]
+TermPicture = Annotated[Path | None, option(
+    "Residual against the variable of each term, PNG, SVG or PDF.", metavar="FILE")]
+
+Promoted = Annotated[Path | None, option(
+    "The terms as effects of your own, TOML, for bowden diagnose --effects.", "--promote", metavar="FILE")]
+
+
+@app.command()
+def discover(
+    trials: DiscoveredTrials = None, healthy: options.Healthy = None, path: options.ForcePath = None,
+    lowpass: options.Lowpass = None, output: TermsFile = None, picture: TermPicture = None,
+    promote: Promoted = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
+    """Find terms that extend the model where no effect of the catalogue fits.
+
+    At most three terms: constants of the bench that change with load, motion, angle or time.
+
+    Example: bowden discover trial.mcap --healthy good.mcap -o extended.toml --picture law.png
+    """
+    from bowden.models import diagnosing
+
+    if not trials or not healthy:
+        raise NothingGivenError("TRIAL… --healthy TRIAL",
+                                "bowden discover: give a trial, and with --healthy one in the reference condition.")
+    output_files.refuse([output, picture, promote], overwrite=overwrite, inputs=[*trials, *healthy])
+    output_files.refuse_ending(output, ".toml", what="a law")
+    output_files.refuse_ending(promote, ".toml", what="an effect")
+    output_files.refuse_ending(picture, ".png", ".svg", ".pdf", what="a picture")
+    with terminal.waiting("fitting the reference trials, then the terms"):
+        found = diagnosing.discover(trials, healthy, lowpass_hz=lowpass, path=path)
+    written = _write(found, output, picture, promote)
+    return CommandAnswer(found.as_json(), lambda: _tell_law(found, written))
+
+
+def _write(found: DiscoveryResult, output: Path | None, picture: Path | None, promote: Path | None) -> list[Path]:
+    """Write the requested files; without a law nothing is written."""
+    from physics.effects import own_effects
+
+    if not found.terms:
+        return []
+    if output is not None:
+        write_whole(output, found.model.text(), overwrite=True)
+    if picture is not None:
+        from bowden.pages import law_picture
+
+        law_picture.draw(found.laws, picture)
+    if promote is not None:
+        write_whole(promote, own_effects.promoted(found.terms), overwrite=True)
+    return [path for path in (output, picture, promote) if path is not None]
+
+
+def _tell_law(found: DiscoveryResult, written: list[Path]) -> None:
+    from diagnosis.report.headline import law_sentences
+
+    for sentence in law_sentences(found.laws):
+        print(textwrap.fill(sentence, 80))
+    terminal.table("RMS error on cycles that no fit has seen", (
+        "signal", "unit", "reference", "session", "law"), [
+        (name, f.unit, *(terminal.number(value, 4) for value in (f.rmse_before, f.rmse_session, f.rmse_after)))
+        for name, f in found.errors.items()])
+    for path in written:
+        print(f"Wrote {path}.")
+
+
+if TYPE_CHECKING:
+    from bowden.mending.supervisor import MendedBench
+
+ReferenceTrials = Annotated[list[Path] | None, option(
+    "Trial of the bench in the reference condition, of bowden trial; repeatable.", metavar="TRIAL")]
+Night = Annotated[Path, option(
+    "Folder for trials, journal, extended.toml and mend.html.", "-o", "--output", metavar="DIR")]
+Hours = Annotated[float, option("Bench time after which no trial begins.", metavar="HOURS", min=0.0)]
+MendCycles = Annotated[int, option("Gait cycles of each trial.", metavar="COUNT", min=4)]
+Resume = Annotated[bool, option("Go on with the journal in the folder.", "--resume")]
+
+
+@app.command()
+def mend(
+    output: Night, reference: ReferenceTrials = None, hours: Hours = 1.0, cycles: MendCycles = 10,
+    resume: Resume = False, *, simulated: SimulatedOptions, reached: BusAlone,
+) -> CommandAnswer:
+    """Repair the model of a bench unattended.
+
+    Records a gait, diagnoses it, runs the experiments that decide, extends the model, and keeps what gains in the loop.
+
+    Example: bowden mend --reference good.mcap --plant-model bench.toml -o night
+    """
+    from bowden.mending import supervisor
+
+    if not reference:
+        raise NothingGivenError("--reference TRIAL -o DIR",
+                                "bowden mend: give a trial of the bench in the reference condition.")
+    found = supervisor.mend(reference, output, bus=reached.chosen(simulated), hours=hours, cycles=cycles, resume=resume,
+                            progress=terminal.Terminal())
+    stopped = "stopped" in found.ending or "time is up" in found.ending
+    return CommandAnswer(found.as_json(), lambda: _tell_mended(found),
+                         ending.CTRL_C if found.ending.startswith("interrupted") else int(stopped))
+
+
+def _tell_mended(found: MendedBench) -> None:
+    for equation in found.equations:
+        print(textwrap.fill(f"Law: {equation}.", 80))
+    if found.names:
+        print(f"Named: {', '.join(found.names)}.")
+    if found.gain is not None:
+        low, high = found.interval or (float("nan"), float("nan"))
+        print(f"END's error falls by {found.gain:.3g} points of the peak (95 %: {low:.3g} … {high:.3g}).")
+    print(f"{found.ending[:1].upper()}{found.ending[1:]}.")
+    print(f"Page: {found.folder / 'mend.html'}")

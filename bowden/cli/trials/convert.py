@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.command import NothingGivenError
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
@@ -20,23 +19,19 @@ if TYPE_CHECKING:
 
     from trial.compare import FieldDifference, TrialComparison
 
-Source = Annotated[Path, typer.Argument(
-    metavar="FILE", show_default=False,
-    help="csv, tsv, xlsx, tdms, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
-A = Annotated[Path, typer.Argument(metavar="A", help="A recorded trial.", show_default=False)]
-B = Annotated[Path | None, typer.Argument(metavar="B", help="Another trial.", show_default=False)]
-History = Annotated[Path | None, typer.Option(
-    "--logbook", metavar="DIR", help="In place of B: the bench's own history.")]
-Map = Annotated[Path | None, typer.Option("--map", metavar="FILE", help="map.toml: names, units, offsets of columns.")]
-Sheet = Annotated[str | None, typer.Option(
-    metavar="NAME", help="Sheet of a workbook (default: the first with a table).")]
-Guess = Annotated[bool, typer.Option("--guess", help="Write a commented map to -o, guessed from the table, to check.")]
-Mat73 = Annotated[bool, typer.Option("--mat73", help="With .mat: MATLAB v7.3, which is HDF5, in place of v5.")]
-Controllers = Annotated[bool, typer.Option(
-    "--controllers", help="A is the table of a sweep: rank its controllers.")]
-Picture = Annotated[Path | None, typer.Option(metavar="FILE", help="With --controllers: PNG, SVG or PDF.")]
-Everything = Annotated[bool, typer.Option("--all", help="Every value and signal that differs, in tables.")]
-Page = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Both trials in one HTML page.")]
+Source = Annotated[Path, argument(
+    "FILE", "csv, tsv, xlsx, tdms, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
+A = Annotated[Path, argument("A", "A recorded trial.")]
+B = Annotated[Path | None, argument("B", "Another trial.")]
+History = Annotated[Path | None, option("In place of B: the bench's own history.", "--logbook", metavar="DIR")]
+Map = Annotated[Path | None, option("map.toml: names, units, offsets of columns.", "--map", metavar="FILE")]
+Sheet = Annotated[str | None, option("Sheet of a workbook (default: the first with a table).", metavar="NAME")]
+Guess = Annotated[bool, option("Write a commented map to -o, guessed from the table, to check.", "--guess")]
+Mat73 = Annotated[bool, option("With .mat: MATLAB v7.3, which is HDF5, in place of v5.", "--mat73")]
+Controllers = Annotated[bool, option("A is the table of a sweep: rank its controllers.", "--controllers")]
+Picture = Annotated[Path | None, option("With --controllers: PNG, SVG or PDF.", metavar="FILE")]
+Everything = Annotated[bool, option("Every value and signal that differs, in tables.", "--all")]
+Page = Annotated[Path | None, option("Both trials in one HTML page.", "--report", metavar="FILE")]
 
 
 @app.command("import")

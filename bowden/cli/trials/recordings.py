@@ -1,4 +1,4 @@
-"""`bowden info`, `cut`, `merge`, `recover`: list, cut, join and mend recordings."""
+"""`bowden info`, `report`, `cut`, `merge`, `recover`: recordings listed, shown, cut, joined and mended."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
@@ -18,13 +17,13 @@ if TYPE_CHECKING:
     from trial.convert.contents import Contents
     from trial.edit import EditSummary
 
-Any_ = Annotated[Path, typer.Argument(metavar="FILE", help="A trial, CAN log, table or MCAP file.", show_default=False)]
-Recording = Annotated[Path, typer.Argument(metavar="FILE", help="MCAP.", show_default=False)]
-Several = Annotated[list[Path], typer.Argument(metavar="FILE…", help="MCAP, two or more.", show_default=False)]
-From = Annotated[float | None, typer.Option("--from", metavar="S", help="Begin, s after the first control cycle.")]
-To = Annotated[float | None, typer.Option("--to", metavar="S", help="End, s after the first control cycle; excluded.")]
-Torn = Annotated[Path, typer.Argument(metavar="FILE", help="A torn recording.", show_default=False)]
-Gait = Annotated[str | None, typer.Option(metavar="A-B", help="Gait cycles A to B in place of times.")]
+Any_ = Annotated[Path, argument("FILE", "A trial, CAN log, table or MCAP file.")]
+Recording = Annotated[Path, argument("FILE", "MCAP.")]
+Several = Annotated[list[Path], argument("FILE…", "MCAP, two or more.")]
+From = Annotated[float | None, option("Begin, s after the first control cycle.", "--from", metavar="S")]
+To = Annotated[float | None, option("End, s after the first control cycle; excluded.", "--to", metavar="S")]
+Torn = Annotated[Path, argument("FILE", "A torn recording.")]
+Gait = Annotated[str | None, option("Gait cycles A to B in place of times.", metavar="A-B")]
 
 
 @app.command()
@@ -62,16 +61,16 @@ def _tell(found: Contents) -> None:
         terminal.table("columns", ("column", "unit", "least", "greatest", "unknown"), [
             (one.name, one.unit, *("–" if value is None else f"{value:.6g}" for value in (one.least, one.greatest)),
              str(one.unknown)) for one in found.columns])
-    from trial.report import labels
+    from trial.report import words
 
-    for name, value in labels.shown(found.about).items():
+    for name, value in words.shown(found.about).items():
         print(f"  {name}: {value}")
     for name, count in found.counts.items():
         if count:
             print(f"  {name.replace('_', ' ')}: {count}")
     if found.attachments:
         print("  attached: " + ", ".join(f"{name} ({size} bytes)" for name, size in found.attachments.items()))
-    rest = labels.folded(found.about)
+    rest = words.folded(found.about)
     if rest:
         print(f"  not shown: {', '.join(rest)}; --json has them.")
 
@@ -153,3 +152,24 @@ def recover(
     return CommandAnswer({"trial": str(output), **asdict(found)}, (
         f"{output}: {found.messages} messages from {found.chunks} chunks; {found.damaged} chunks damaged, "
         f"{found.bytes_skipped} bytes left out."))
+
+
+@app.command()
+def report(
+    trial: options.Trial, output: options.Output, path: options.ForcePath = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
+    """Write a trial as one offline HTML page.
+
+    Figures, plots that zoom together, timing, bus load and events; of several force paths all, or one with --path.
+
+    Example: bowden report trial.mcap -o report.html
+    """
+    from bowden.pages import reports
+    from bowden.trials.force_paths import opened
+
+    output_files.refuse([output], overwrite=overwrite, inputs=[trial])
+    output_files.refuse_ending(output, ".html", ".htm", what="a page")
+    with terminal.waiting(f"reading {trial}"):
+        recorded = opened(trial, path, whole=True)
+    size = reports.write_trial_page(recorded, output, overwrite=overwrite, progress=terminal.Terminal())
+    return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {size / 1e6:.1f} MB.")

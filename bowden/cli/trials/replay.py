@@ -13,6 +13,7 @@ from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import BusAlone, SimulatedOptions
+from bowden.cli.options import option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
@@ -34,23 +35,22 @@ TAKES = {
     "bus --nodes-only": BUS,
 }
 """Options by target of the replay; every other option is refused."""
-Onto = Annotated[str, typer.Option(metavar="WHERE", help="bus, controller or plant.", show_default=False)]
-Speed = Annotated[float, typer.Option(metavar="X", help="bus: speed, recorded time by playing time.")]
-Loop = Annotated[int, typer.Option("--loop", metavar="N", help="bus: number of passes.")]
-From = Annotated[float, typer.Option("--from", metavar="S", help="bus: begin there, nodes and PDOs restored first.")]
-To = Annotated[float | None, typer.Option("--to", metavar="S", help="bus: end there.")]
-Step = Annotated[bool, typer.Option("--step", help="bus: one frame for each line of standard input.")]
-Node = Annotated[list[int] | None, typer.Option(
-    metavar="NODE", help="bus: frames of this node only, 0 for NMT and SYNC; repeatable.")]
-CobId = Annotated[list[str] | None, typer.Option(
-    metavar="ID", help="bus: frames with this COB-ID only, such as 0x181; repeatable.")]
-Direction = Annotated[str | None, typer.Option(
-    metavar="WAY", help="bus: rx (what the recorder heard) or tx (what it sent).")]
-Map = Annotated[list[str] | None, typer.Option("--map", metavar="N=CHANNEL", help="bus: recorded channel → channel.")]
-NodesOnly = Annotated[bool, typer.Option("--nodes-only", help="bus: the nodes' frames, answering a live master.")]
-Allowed = Annotated[str | None, typer.Option(
-    "--allow-controller", metavar="MODULE:CLASS", help="controller: import this class, which the trial names.")]
-Residuals = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="plant: residuals, MCAP.")]
+Onto = Annotated[str, option("bus, controller or plant.", metavar="WHERE", show_default=False)]
+Speed = Annotated[float, option("bus: speed, recorded time by playing time.", metavar="X")]
+Loop = Annotated[int, option("bus: number of passes.", "--loop", metavar="N")]
+From = Annotated[float, option("bus: begin there, nodes and PDOs restored first.", "--from", metavar="S")]
+To = Annotated[float | None, option("bus: end there.", "--to", metavar="S")]
+Step = Annotated[bool, option("bus: one frame for each line of standard input.", "--step")]
+Node = Annotated[list[int] | None, option(
+    "bus: frames of this node only, 0 for NMT and SYNC; repeatable.", metavar="NODE")]
+CobId = Annotated[list[str] | None, option(
+    "bus: frames with this COB-ID only, such as 0x181; repeatable.", metavar="ID")]
+Direction = Annotated[str | None, option("bus: rx (what the recorder heard) or tx (what it sent).", metavar="WAY")]
+Map = Annotated[list[str] | None, option("bus: recorded channel → channel.", "--map", metavar="N=CHANNEL")]
+NodesOnly = Annotated[bool, option("bus: the nodes' frames, answering a live master.", "--nodes-only")]
+Allowed = Annotated[str | None, option(
+    "controller: import this class, which the trial names.", "--allow-controller", metavar="MODULE:CLASS")]
+Residuals = Annotated[Path | None, option("plant: residuals, MCAP.", "-o", "--output", metavar="FILE")]
 
 
 @app.command()

@@ -11,22 +11,22 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.options import option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
-Grid = Annotated[list[str] | None, typer.Option("--grid", metavar="NAME=V,V…", help=(
+Grid = Annotated[list[str] | None, option(
     "Values of an option of bowden trial, or of table.key of bench.toml or of the plant; 1-20 for whole numbers. "
-    "Repeatable."))]
-Draw = Annotated[list[str] | None, typer.Option("--draw", metavar="NAME=LOW:HIGH[:log]", help=(
-    "A number drawn at random. Repeatable."))]
-Draws = Annotated[int, typer.Option(metavar="COUNT", help="Random draws for each point of the grid.")]
-DrawSeed = Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the draws.")]
-Identify = Annotated[bool, typer.Option("--identify", help="Identify each bench on its day 0 first.")]
-Keep = Annotated[Path | None, typer.Option(metavar="DIR", help="Keep the recordings there (default: none is kept).")]
-Workers_ = Annotated[int | None, typer.Option(
-    "--workers", metavar="COUNT", help="Processes (default: one a processor).")]
-Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to run on, host:port.")]
-Table = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Table, .csv or .parquet; continued.")]
+    "Repeatable.", "--grid", metavar="NAME=V,V…")]
+Draw = Annotated[list[str] | None, option(
+    "A number drawn at random. Repeatable.", "--draw", metavar="NAME=LOW:HIGH[:log]")]
+Draws = Annotated[int, option("Random draws for each point of the grid.", metavar="COUNT")]
+DrawSeed = Annotated[int, option("Seed of the draws.", metavar="NUMBER")]
+Identify = Annotated[bool, option("Identify each bench on its day 0 first.", "--identify")]
+Keep = Annotated[Path | None, option("Keep the recordings there (default: none is kept).", metavar="DIR")]
+Workers_ = Annotated[int | None, option("Processes (default: one a processor).", "--workers", metavar="COUNT")]
+Scheduler = Annotated[str | None, option("Dask scheduler to run on, host:port.", metavar="ADDRESS")]
+Table = Annotated[Path, option("Table, .csv or .parquet; continued.", "-o", "--output", metavar="FILE")]
 
 
 @app.command()

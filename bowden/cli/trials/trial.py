@@ -8,12 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, spelled
+from bowden.cli.options import option
 from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
@@ -22,8 +21,7 @@ if TYPE_CHECKING:
     from bowden.watch.file_watch import WatchedBench
     from bowden.watch.watch_process import TrialWatch
 
-Web = Annotated[str | None, typer.Option(
-    metavar="[HOST:]PORT", help="Live page with a stop button; port 0: a free one.")]
+Web = Annotated[str | None, option("Live page with a stop button; port 0: a free one.", metavar="[HOST:]PORT")]
 
 
 @app.command()
