@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 from benchmarks.frame import DOCS, OUT, markdown, number
 from bowden.bench import configuration
 from bowden.cli import terminal
-from bowden.pages.reports import PAPER_RMSE_PERCENT
+from bowden.pages.figures import PAPER_RMSE_PERCENT
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run as sweep_run
 from bowden.sweep.rows import IDENTIFIED, Row, Value

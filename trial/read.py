@@ -2,8 +2,12 @@
 
 Bytes become numbers in bulk, a chunk at a time, and every number is returned under its name and unit or not at all.
 Reading by block needs the same memory for a minute as for an hour.
+
+`one_path` returns one force path of a trial of several as a trial of a single one: columns `<path>.<name>`, attachments
+and metadata lose their prefix; entries without a prefix hold for every path.
 """
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -11,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +23,7 @@ from numpy.typing import NDArray
 from parameters import InputError
 from trial.mcap_file import cdr, records, scan
 from trial.mcap_file import container as mcap
-from trial.signals import UNITS
+from trial.signals import UNITS, of_path
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -353,3 +357,54 @@ def _events(view: records.View, found: scan.Summary, path: Path) -> tuple[Event,
                 raise
             raise InputError(f"{path}: an event is damaged ({error}); say bowden recover {path} -o FILE.") from None
     return tuple(events)
+
+
+T = TypeVar("T")
+File = TypeVar("File", bound=TrialFile)
+PATHS = "paths"
+"""Key of the metadata that lists a trial's force paths; a trial of a single path has none."""
+ALONE = "joint_alone"
+"""Key of a path's metadata: true where no other path has its joint, so that its frames are those of a single path."""
+
+
+def path_names(trial: TrialFile) -> tuple[str, ...]:
+    """Return the force paths of a trial of several, in declared order; none for a trial of a single path."""
+    return tuple(trial.metadata.get(PATHS, "").split())
+
+
+def one_path(trial: File, path: str | None) -> File:
+    """Return one force path of a trial of several as a trial; raises `InputError` for a path that it has not, or None.
+    """
+    known = path_names(trial)
+    if path is None:
+        raise InputError(f"{trial.path}: records the force paths {', '.join(known)}; name one with --path.")
+    refuse_unknown(str(trial.path), path, known)
+    metadata = {key: text for key, text in _own(trial.metadata, path, known).items() if key != PATHS}
+    result = None if trial.result is None else dict(trial.result)
+    homed: Any = (result or {}).pop("homed", {})
+    if result is not None:
+        result |= homed.get(path, {})
+    others = set(known) - {path}
+    stored = {name: old for old in trial.units if (name := of_path(old, path)) is not None}
+    in_memory: dict[str, Any] = {"columns": {name: trial.columns[old] for name, old in stored.items()}} if isinstance(
+        trial, Trial) else {}
+    return dataclasses.replace(
+        trial, **in_memory, stored_names=stored, units={name: trial.units[old] for name, old in stored.items()},
+        derived=frozenset(filter(None, (of_path(old, path) for old in trial.derived))),
+        events=tuple(event for event in trial.events if event.source not in others),
+        metadata={**metadata, "path": path}, attachments=_own(trial.attachments, path, known), result=result,
+        has_frames=metadata.get(ALONE) == "true")
+
+
+def refuse_unknown(source: str, path: str, known: tuple[str, ...]) -> None:
+    """Raise `InputError` if a file of the paths `known` does not have a path."""
+    if path not in known:
+        raise InputError(f"{source}: has no path {path}; " + (
+            f"expected one of {', '.join(known)}." if known else "it records a single one: leave --path out."))
+
+
+def _own(given: Mapping[str, T], path: str, known: tuple[str, ...]) -> dict[str, T]:
+    """Return what holds for every path, and what holds for this one in its place."""
+    prefixes = tuple(f"{name}." for name in known)
+    common = {key: value for key, value in given.items() if not key.startswith(prefixes)}
+    return common | {key.removeprefix(f"{path}."): value for key, value in given.items() if key.startswith(f"{path}.")}

@@ -16,7 +16,7 @@ from bowden.progress import SILENT, Progress
 from bowden.trials import force_paths, provenance, recorded, session
 from bowden.trials.recorded_trial import TemporaryFolder, Trial
 from parameters import InputError
-from trial.paths import PATHS
+from trial.read import PATHS
 from trial.signals import of_bench
 
 if TYPE_CHECKING:

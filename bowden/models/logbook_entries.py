@@ -23,7 +23,7 @@ from logbook.session_fits import fit_missing, recording_of
 from parameters import InputError
 from physics.path_constants import FREE, TABLE
 from trial import read
-from trial.paths import names, one_path
+from trial.read import one_path, path_names
 
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
@@ -138,7 +138,7 @@ def _described(path: Path, figures: Mapping[str, Any] | None, force_path: str) -
         given = table.read(path, force_path or None)
         return NewTrial(path, digest, "table", None, float(given["time_s"][-1] - given["time_s"][0]), {}, {}, "")
     recorded = read.open(path)
-    if force_path and names(recorded):
+    if force_path and path_names(recorded):
         recorded, figures = one_path(recorded, force_path), (figures or {}).get("paths", {}).get(force_path)
     told = dict(recorded.metadata)
     result = recorded.result or {}

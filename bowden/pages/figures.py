@@ -1,4 +1,4 @@
-"""Figures of `trial --json`, from the closed file, and the picture.
+"""Figures of `trial --json`, from the closed file, the picture and the HTML page, with the paper's figures beside them.
 
 A signal that was not recorded has no figure; a full disk is no error here.
 """
@@ -6,6 +6,7 @@ A signal that was not recorded has no figure; a full disk is no error here.
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -14,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bowden import output_files
 from bowden.pages import load_prediction as load
 from bowden.progress import SILENT, Progress
 from eds.bench import bus_load
-from eds.bench.bench_network import wire
-from parameters import InputError
-from trial import metrics, read, stride_figures
-from trial.paths import one_path
+from eds.bench.bench_network import Network, wire
+from parameters import InputError, from_table
+from trial import metrics, read
+from trial.read import one_path
 from trial.truth_file import open_truth
 
 if TYPE_CHECKING:
@@ -46,28 +48,13 @@ def figures(
     if paths:
         return _of_paths(experiment, result, output, truth, wall_s, paths, recorded, serial=serial, simulated=simulated,
                          progress=progress)
-    found: dict[str, Any] = {**_of_force(recorded, truth, gait.peak_n, experiment, progress)}
+    force: dict[str, Any] = _of_force(recorded, truth, gait.peak_n, experiment, progress)
     if experiment.walk.differs:
-        found["walk"] = None if recorded is None else _of_strides(experiment, recorded, truth, progress)
-    return {
-        "trial": str(output),
-        "peak_n": gait.peak_n,
-        "period_s": gait.period_s,
-        "cycles": experiment.walk.strides or gait.cycles,
-        "rate_hz": network.rate_hz,
-        "serial": serial,
-        "controller": gait.controller,
-        "calibration": experiment.calibration.label,
-        **found,
-        "missed_cycles": result.missed_cycles,
-        "stale_inputs": result.stale_inputs,
-        "bus_load_percent": math.nan if recorded is None else load.measured_percent(recorded, network.bitrate),
-        "bus_load_bound_percent": bus_load.load_percent(wire(network)),
-        "simulated_s": result.duration_s if simulated else None,
-        "wall_s": wall_s,
-        "outcome": result.outcome,
-        "stop_reason": result.stop_reason,
-    }
+        force["walk"] = None if recorded is None else _of_strides(experiment, recorded, truth, progress)
+    found = _with_force(experiment, result, wall_s, force, serial=serial, simulated=simulated)
+    load_percent = math.nan if recorded is None else load.measured_percent(recorded, network.bitrate)
+    return found | {"trial": str(output), "cycles": experiment.walk.strides or gait.cycles,
+                    "bus_load_percent": load_percent}
 
 
 def _of_strides(
@@ -77,12 +64,12 @@ def _of_strides(
     side = None if truth is None else _opened(truth, progress)
     true = None if side is None else TrueEnd(side, "")
     blocks = [(columns, None if true is None else true.at(times))
-              for times, columns in recorded.blocks(stride_figures.NEEDED)]
-    columns = stride_figures.columns_of(block for block, _ in blocks)
+              for times, columns in recorded.blocks(metrics.STRIDE_COLUMNS)]
+    columns = metrics.stride_columns(block for block, _ in blocks)
     if not np.isfinite(columns["stride_percent"]).any():
         return None
     ends = [end for _, end in blocks if end is not None]
-    return stride_figures.figures(
+    return metrics.stride_figures(
         columns, peak_n=experiment.gait.peak_n, rate_hz=experiment.network.rate_hz,
         settle=experiment.gait.settle, true_end_n=np.concatenate(ends) if ends else None)
 
@@ -109,12 +96,21 @@ def refused(
 ) -> dict[str, Any]:
     """Return the keys of `figures` for a run that ended before its first control cycle, of which no file is kept."""
     nothing = _of_force(None, None, experiment.gait.peak_n, experiment, SILENT)
+    return _with_force(experiment, result, wall_s, nothing, serial=serial, simulated=simulated)
+
+
+def _with_force(
+    experiment: ExperimentSetup, result: Result, wall_s: float, force: Mapping[str, Any], *, serial: int | None,
+    simulated: bool,
+) -> dict[str, Any]:
+    """Return the figures of a run without a recording, those of `force` among them, in the order of `figures`."""
+    gait, network = experiment.gait, experiment.network
     return {
-        "trial": None, "peak_n": experiment.gait.peak_n, "period_s": experiment.gait.period_s,
-        "cycles": experiment.gait.cycles, "rate_hz": experiment.network.rate_hz, "serial": serial,
-        "controller": experiment.gait.controller, "calibration": experiment.calibration.label, **nothing,
+        "trial": None, "peak_n": gait.peak_n, "period_s": gait.period_s, "cycles": gait.cycles,
+        "rate_hz": network.rate_hz, "serial": serial, "controller": gait.controller,
+        "calibration": experiment.calibration.label, **force,
         "missed_cycles": result.missed_cycles, "stale_inputs": result.stale_inputs, "bus_load_percent": math.nan,
-        "bus_load_bound_percent": bus_load.load_percent(wire(experiment.network)),
+        "bus_load_bound_percent": bus_load.load_percent(wire(network)),
         "simulated_s": result.duration_s if simulated else None, "wall_s": wall_s,
         "outcome": result.outcome, "stop_reason": result.stop_reason,
     }
@@ -185,3 +181,38 @@ def picture(output: Path, path: Path, experiment: ExperimentSetup,
     gait, recorded = experiment.gait, read.open(output)
     title = f"{gait.peak_n:g} N, {gait.period_s:g} s, controller {gait.controller}"
     draw({f"{name}: {title}": one_path(recorded, name).columns for name in paths} or {title: recorded.columns}, path)
+
+
+PAPER_RMSE_PERCENT = {40.0: 2.53, 50.0: 2.16, 60.0: 2.07}
+"""Relative RMSE that the paper's experiment gives by peak, N, its section 5.2."""
+
+
+def write_trial_page(
+    recorded: read.TrialFile, path: Path, *, overwrite: bool = False, progress: Progress = SILENT
+) -> int:
+    """Write a trial as one HTML page that needs no network; returns its bytes.  Raises `InputError`."""
+    from trial.report import trial_page
+
+    output_files.refuse([path], overwrite=overwrite, inputs=[recorded.path])
+    with progress.running("report") as update:
+        return trial_page.write(
+            recorded, path, load.frame_bits, published=_published(recorded), bound_percent=_bound(recorded),
+            overwrite=overwrite, progress=update)
+
+
+def _bound(recorded: read.TrialFile) -> float | None:
+    """Return the sustained load, %, computed for the network that the trial carries; None if it carries none."""
+    try:
+        table = tomllib.loads(recorded.attachments["bench.toml"].decode())["network"]
+        return bus_load.load_percent(wire(from_table(Network, table, where="bench.toml [network]")))
+    except (KeyError, ValueError, InputError):
+        return None
+
+
+def _published(recorded: read.TrialFile) -> dict[str, str]:
+    """Return the paper's figures at the same peak."""
+    try:
+        rmse = PAPER_RMSE_PERCENT.get(float(recorded.metadata.get("peak_n", "")))
+    except ValueError:
+        return {}
+    return {} if rmse is None else {"relative_rmse_percent": f"{rmse} %", "max_idle_tension_n": "< 1 N"}

@@ -122,14 +122,11 @@ def _outlet(chosen: BusSettings, channels: Mapping[int, str]) -> Iterator[tuple[
             yield Outlet({}, bus), bus
             return
         named = {
-            name: stack.enter_context(opened_one(_on(chosen, name), chosen.arguments["bitrate"]))
+            name: stack.enter_context(opened_one(
+                replace(chosen, arguments={**chosen.arguments, "channel": name}), chosen.arguments["bitrate"]))
             for name in dict.fromkeys(channels.values())
         }
         yield Outlet({number: named[name] for number, name in channels.items()}), next(iter(named.values()))
-
-
-def _on(chosen: BusSettings, channel: str) -> BusSettings:
-    return replace(chosen, arguments={**chosen.arguments, "channel": channel})
 
 
 def channel_map(given: Sequence[str] | None) -> dict[int, str]:

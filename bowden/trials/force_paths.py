@@ -52,7 +52,7 @@ def setup_of(whole: ExperimentSetup, path: ForcePath, **changed: Any) -> Experim
 def metadata(setups: Mapping[str, ExperimentSetup], network: Network) -> dict[str, str]:
     """Return what identifies each path in a trial, as text."""
     from bowden.trials import provenance
-    from trial.paths import ALONE, PATHS
+    from trial.read import ALONE, PATHS
 
     found = {PATHS: " ".join(setups)}
     for path in network.bench.force_paths:
@@ -84,7 +84,7 @@ def opened(file: Path, path: str | None, *, whole: bool = False) -> TrialFile:
     Raises `InputError` for a trial of several paths where no path is named, and for a path that it has not.
     """
     from trial import read
-    from trial.paths import names, one_path
+    from trial.read import one_path, path_names
 
     found = read.open_file(file)
-    return one_path(found, path) if path is not None or (names(found) and not whole) else found
+    return one_path(found, path) if path is not None or (path_names(found) and not whole) else found

@@ -126,7 +126,7 @@ class Trial:
 
     def report(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the trial as one HTML page that needs no network, as `bowden report` does."""
-        from bowden.pages.reports import write_trial_page
+        from bowden.pages.figures import write_trial_page
 
         write_trial_page(self.recorded, Path(path), overwrite=overwrite)
         return Path(path)

@@ -305,9 +305,11 @@ def perform(
     planned = prepared.planned()
     with ExitStack() as after, opened(prepared.chosen, network, truth=truth) as bus:
         monitor_program.refuse_other(bus.tap, bus.clock, network.monitor)
-        recorder = Recorder(output, metadata={"bus": prepared.chosen.told, **_session_of(prepared),
-                                              **provenance.metadata(prepared.experiment, prepared.script),
-                                              **_metadata(prepared)},
+        # a logbook orders the sessions of a simulated bench by their days, others by the dates of recording
+        day = {"day": str(prepared.chosen.arguments["day"])} if simulated else {}
+        of_paths = force_paths.metadata(prepared.paths, network) if prepared.paths else {}
+        recorder = Recorder(output, metadata={"bus": prepared.chosen.told, **day,
+                                              **provenance.metadata(prepared.experiment, prepared.script), **of_paths},
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
                                          **force_paths.attachments(prepared.paths, prepared.sections),
                                          **prepared.files},
@@ -358,15 +360,6 @@ def set_aside(output: Path, truth: Path | None) -> tuple[Path, Path | None]:
         if path is not None and new is not None and path.exists():
             path.replace(new)
     return failed, aside
-
-
-def _session_of(prepared: PreparedTrial) -> dict[str, str]:
-    """Return the simulated day, by which a logbook orders sessions; nothing on hardware, whose times are dates."""
-    return {"day": str(prepared.chosen.arguments["day"])} if prepared.chosen.simulated else {}
-
-
-def _metadata(prepared: PreparedTrial) -> dict[str, str]:
-    return force_paths.metadata(prepared.paths, prepared.experiment.network) if prepared.paths else {}
 
 
 def never_ran(output: Path) -> bool:

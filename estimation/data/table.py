@@ -19,10 +19,10 @@ from parameters import InputError
 from parameters.files import refuse_special
 from physics.laws import Array
 from physics.plant.leg import KNEE_AT_FIT
-from trial import paths, slow_columns
+from trial import slow_columns
 from trial.convert.csv_table import offer
 from trial.convert.sheets import ENDINGS, sheet_of
-from trial.read import TrialFile, open_file
+from trial.read import TrialFile, one_path, open_file, path_names, refuse_unknown
 from trial.signals import MOTION_AND_FORCE, of_path
 
 UNITS: Final[Mapping[str, str]] = {signal.name: signal.unit for signal in MOTION_AND_FORCE}
@@ -168,7 +168,7 @@ def _of_joint(source: str, columns: Mapping[str, Sequence[float] | Array], joint
     """Return the columns of one of several joints, with the angles of the other ones if the axes turn."""
     if joint is None:
         raise InputError(f"{source}: records {', '.join(joints)}; name one with --path.")
-    paths.refuse_unknown(source, joint, joints)
+    refuse_unknown(source, joint, joints)
     own = table(source, {name: values for old, values in columns.items()
                          if (name := of_path(old, joint)) is not None})
     angles = {f"{other}.servo_position_m": np.ascontiguousarray(columns[f"{other}.servo_position_rad"], np.float64)
@@ -224,8 +224,8 @@ def _digest(columns: Mapping[str, Array]) -> str:
 
 def _read_mcap(path: Path, joint: str | None) -> Table:
     trial: TrialFile = open_file(path)
-    if joint is not None or paths.names(trial):
-        trial = paths.one_path(trial, joint)
+    if joint is not None or path_names(trial):
+        trial = one_path(trial, joint)
     words = [name for name in ("servo_statusword", "knee_statusword") if name in trial.units]
     read = _columns(trial, [*(name for name in trial.units if name in UNITS or name.endswith(AGE_SUFFIX)), *words])
     columns = {name: values for name, values in read.items() if name not in words and not np.isnan(values).all()}

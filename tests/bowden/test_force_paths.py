@@ -16,8 +16,7 @@ from bowden import model_files
 from bowden.bench import configuration
 from bowden.bench.buses import simulated
 from eds.declaration import MIRROR_RAD, packaged
-from trial.paths import names, one_path
-from trial.read import Trial
+from trial.read import Trial, one_path, path_names
 from trial.read import open as opened
 
 Command = Callable[..., tuple[int, str, str]]
@@ -61,7 +60,7 @@ def test_every_path_follows_its_force(figures: dict[str, object]) -> None:
 
 
 def test_a_path_s_columns_read_like_those_of_a_single_one(recorded: Trial) -> None:
-    path = names(recorded)[1]
+    path = path_names(recorded)[1]
     assert f"{path}.tension_start_n" in recorded.columns
     found = one_path(recorded, path)
     assert (found.columns["tension_start_n"] == recorded.columns[f"{path}.tension_start_n"]).all()
@@ -70,7 +69,7 @@ def test_a_path_s_columns_read_like_those_of_a_single_one(recorded: Trial) -> No
 
 
 def test_the_joint_of_an_antagonist_is_counted_mirrored(figures: dict[str, object], recorded: Trial) -> None:
-    flexes, extends = (recorded.columns[f"{name}.knee_angle_rad"] for name in names(recorded))
+    flexes, extends = (recorded.columns[f"{name}.knee_angle_rad"] for name in path_names(recorded))
     both = flexes + extends
     if figures["shape"] == "bench_antagonists":
         assert np.allclose(both, MIRROR_RAD, atol=1e-9)
@@ -79,22 +78,22 @@ def test_the_joint_of_an_antagonist_is_counted_mirrored(figures: dict[str, objec
 
 
 def test_the_controller_s_steps_are_made_again(ran: Path, recorded: Trial, bowden: Command) -> None:
-    for path in names(recorded):
+    for path in path_names(recorded):
         status, out, _ = bowden("replay", ran / "trial.mcap", "--onto", "controller", "--path", path, "--json")
         assert (status, json.loads(out)["same"]) == (0, True)
 
 
 def test_a_path_has_its_report(ran: Path, recorded: Trial, bowden: Command) -> None:
     page = ran / "report.html"
-    assert bowden("report", ran / "trial.mcap", "--path", names(recorded)[1], "-o", page)[0] == 0
+    assert bowden("report", ran / "trial.mcap", "--path", path_names(recorded)[1], "-o", page)[0] == 0
     assert "relative RMSE" in page.read_text()
     assert bowden("report", ran / "trial.mcap", "-o", ran / "both.html")[0] == 0
     sections = re.findall(r"<h2>([^<]*)</h2>", (ran / "both.html").read_text())
-    assert [f"{name}: Force" in sections for name in names(recorded)] == [True, True]
+    assert [f"{name}: Force" in sections for name in path_names(recorded)] == [True, True]
 
 
 def test_a_path_must_be_named(ran: Path, recorded: Trial, bowden: Command) -> None:
-    one, other = names(recorded)
+    one, other = path_names(recorded)
     for command in (("diagnose",), ("replay", "--onto", "controller")):
         status, out, err = bowden(command[0], ran / "trial.mcap", *command[1:])
         assert (status, out) == (2, "")
@@ -138,8 +137,8 @@ def test_a_dry_run_and_its_picture_have_every_path(ran: Path, bowden: Command) -
                             "--settle", "0", "--picture", ran / "dry.svg", "-o", ran / "dry.mcap", "--json")
     assert (status, json.loads(out)["outcome"]) == (0, "completed")
     recorded = opened(ran / "dry.mcap")
-    assert all(np.nanmax(recorded.columns[f"{name}.tension_start_n"]) < 2.0 for name in names(recorded))
-    assert all(f"{name}: " in (ran / "dry.svg").read_text() for name in names(recorded))
+    assert all(np.nanmax(recorded.columns[f"{name}.tension_start_n"]) < 2.0 for name in path_names(recorded))
+    assert all(f"{name}: " in (ran / "dry.svg").read_text() for name in path_names(recorded))
 
 
 @pytest.mark.exhaustive
@@ -148,7 +147,7 @@ def test_an_experiment_of_the_catalogue_runs_on_each_path_in_turn(ran: Path, bow
                             ran / "angles.mcap", "--json")
     assert status == 0, err
     recorded = opened(ran / "angles.mcap")
-    pulled = [recorded.columns[f"{name}.tension_start_n"] > 20.0 for name in names(recorded)]
+    pulled = [recorded.columns[f"{name}.tension_start_n"] > 20.0 for name in path_names(recorded)]
     assert all(each.any() for each in pulled)
     assert not np.logical_and(*pulled).any()
 
@@ -160,7 +159,7 @@ def test_commissioning_names_a_path(ran: Path, recorded: Trial, bowden: Command)
     assert (status, out) == (2, "")
     assert "--path is missing: the bench has the force paths" in err
     status, out, _ = bowden("tare", "start", "--config", ran / "bench.toml", "--interface", "bowden", "--channel",
-                            f"tare {ran.name}", "--path", names(recorded)[1], "--json")
+                            f"tare {ran.name}", "--path", path_names(recorded)[1], "--json")
     assert (status, json.loads(out)["outcome"]) == (0, "completed")
 
 

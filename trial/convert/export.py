@@ -85,11 +85,7 @@ def csv_lines(trial: TrialFile, progress: Progress = silent) -> Iterator[str]:
     names = known_columns(trial)
     yield ",".join(names) + "\n"
     for row in _rows(trial, names, progress):
-        yield ",".join([_cell(value) for value in row]) + "\n"
-
-
-def _cell(value: float) -> str:
-    return "" if value != value else repr(value).removesuffix(".0")
+        yield ",".join(["" if value != value else repr(value).removesuffix(".0") for value in row]) + "\n"
 
 
 def _csv(trial: TrialFile, part: Path, progress: Progress) -> None:

@@ -35,7 +35,7 @@ class TrialSetting:
 def setting(trial: TrialFile) -> TrialSetting:
     """Return the setting of a trial, one's own or an imported one."""
     stated = {name: _figure(trial.metadata.get(name)) for name in ("peak_n", "rate_hz", "cycles", "settle")}
-    readers = {"peak_n": _peak, "rate_hz": _rate, "cycles": _cycles}
+    readers = {"peak_n": lambda trial: _greatest(trial, "desired_force_n") or None, "rate_hz": _rate, "cycles": _cycles}
     measured = {name: readers[name](trial) if value is None and name in readers else None
                 for name, value in stated.items()}
     found = {name: measured[name] if value is None else value for name, value in stated.items()}
@@ -68,10 +68,6 @@ def _figure(text: str | None) -> float | None:
     except ValueError:
         return None
     return value if np.isfinite(value) and value >= 0 else None
-
-
-def _peak(trial: TrialFile) -> float | None:
-    return _greatest(trial, "desired_force_n") or None
 
 
 def _rate(trial: TrialFile) -> float | None:

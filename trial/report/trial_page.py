@@ -6,7 +6,7 @@ The report shows recorded data and computes its figures by `metrics` alone; miss
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from trial import metrics, paths, stride_figures
+from trial import metrics, read
 from trial.read import Extent, TrialFile
 from trial.report import bus_section, force_section
 from trial.report.bus_section import FrameBits
@@ -66,8 +66,8 @@ def _signals(
 ) -> list[Callable[[], None]]:
     """Return what adds summary, force, motion and other signals; of several force paths for each of them."""
     parts: list[Callable[[], None]] = []
-    for name in paths.names(trial) or ("",):
-        one = paths.one_path(trial, name) if name else trial
+    for name in read.path_names(trial) or ("",):
+        one = read.one_path(trial, name) if name else trial
         judged = setting(one)
         parts += _of_path(page, one, overview(one, judged) if name else view, judged, frames if one.has_frames else 0,
                           f"{name}: " if name else "", published)
@@ -172,16 +172,16 @@ def _figures(
 
 def _strides(page: Page, trial: TrialFile, judged: TrialSetting) -> None:
     """Add a table of strides that differ; nothing for a trial of one that repeats."""
-    if set(stride_figures.NEEDED) - set(trial.units) or judged.peak_n is None or judged.rate_hz is None:
+    if set(metrics.STRIDE_COLUMNS) - set(trial.units) or judged.peak_n is None or judged.rate_hz is None:
         return
-    columns = stride_figures.columns_of(block.columns for block in trial.blocks(stride_figures.NEEDED))
-    found = stride_figures.figures(columns, peak_n=judged.peak_n, rate_hz=judged.rate_hz, settle=judged.settle)
+    columns = metrics.stride_columns(block.columns for block in trial.blocks(metrics.STRIDE_COLUMNS))
+    found = metrics.stride_figures(columns, peak_n=judged.peak_n, rate_hz=judged.rate_hz, settle=judged.settle)
     page.section("Strides")
     page.text(f"By the {found['judged_by']}; relative RMSE by the peak. The first {judged.settle} count in no figure.",
               "note")
     page.table(("stride", "kind", "period (s)", "RMSE, force asked for (%)", "RMSE, true phase (%)",
                 "phase error, rms (%)", "largest END at idle (N)", "more than 3 N off phase (ms)"),
-               [tuple(one[name] for name in stride_figures.SHOWN) for one in found["by_stride"]], tall=True)
+               [tuple(one[name] for name in metrics.STRIDE_TABLE) for one in found["by_stride"]], tall=True)
 
 
 def _events(page: Page, trial: TrialFile, frames: int) -> None:

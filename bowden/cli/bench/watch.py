@@ -60,14 +60,15 @@ def _play(path: Path, reached: Bus, speed: float, web: str, over: Callable[[], b
     from bowden.live import feeds
     from bowden.live.feeds import TrialPlayer
     from bowden.live.web import LivePage
-    from trial.paths import names
     from trial.playback import SPEEDS
     from trial.read import open as opened
+    from trial.read import path_names
 
     if not SPEEDS[0] <= speed <= SPEEDS[1]:
         raise InputError(f"--speed {speed:g}: expected {SPEEDS[0]:g} … {SPEEDS[1]:g}; give another one.")
     trial = opened(path)
-    shown = feeds.state(path.name, "recorded", configuration.read(reached.config)["network"], names(trial) or ("",))
+    network = configuration.read(reached.config)["network"]
+    shown = feeds.state(path.name, "recorded", network, path_names(trial) or ("",))
     player = TrialPlayer(trial, speed, time.monotonic_ns, shown)
     with closing(LivePage(shown, web, None, feeds.RECORDED, player.request)) as page:
         _show_page(page)

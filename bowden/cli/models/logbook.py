@@ -68,7 +68,7 @@ def add_trials(folder: Folder, files: Files, session: options.Session = None) ->
     for file in files:
         with terminal.waiting(f"fitting {file}"):
             entries.append(logbook_entries.add(folder, file, session))
-    return CommandAnswer({"logbook": str(folder), "added": [_row(entry) for entry in entries]}, [
+    return CommandAnswer({"logbook": str(folder), "added": [entry._asdict() for entry in entries]}, [
         f"Trial {entry.id}, session {entry.label}: {entry.path}" + (
             "" if entry.estimated else f"; not fitted: {entry.remark}") for entry in entries])
 
@@ -83,10 +83,11 @@ def list_trials(folder: Folder, most: Most = 20) -> CommandAnswer:
 
     with open_logbook(folder) as book:
         name, counts, entries = book.name, book.counts(), book.trials(most)
-    rows = [(str(e.id), e.label, e.experiment, e.outcome or "–", _rmse(e.figures),
+    rows = [(str(e.id), e.label, e.experiment, e.outcome or "–",
+             terminal.number(e.figures.get("relative_rmse_percent")),
              e.path if e.there else f"{e.path} (not found)") for e in entries]
     return CommandAnswer(
-        {"bench": name, **{f"{k}s": v for k, v in counts.items()}, "newest": [_row(entry) for entry in entries]},
+        {"bench": name, **{f"{k}s": v for k, v in counts.items()}, "newest": [entry._asdict() for entry in entries]},
         lambda: terminal.table(f"{name}: {counts['trial']} trials in {counts['session']} sessions", (
             "trial", "session", "experiment", "outcome", "RMSE (%)", "file"), rows))
 
@@ -188,19 +189,11 @@ def _limits(given: Sequence[str] | None) -> dict[str, float]:
     return found
 
 
-def _row(entry: Any) -> dict[str, Any]:
-    return dict(entry._asdict())
-
-
-def _rmse(figures: dict[str, Any]) -> str:
-    return terminal.number(figures.get("relative_rmse_percent"))
-
-
 def _of_trial(book: Any, number: int) -> CommandAnswer:
     entries = book.trials(1, trial=number)
     if not entries:
         raise InputError(f"--trial {number}: is not in the logbook; bowden logbook list shows the numbers.")
-    shown = _row(entries[0]) | {"verdicts": book.verdicts(number)}
+    shown = entries[0]._asdict() | {"verdicts": book.verdicts(number)}
     return CommandAnswer(shown, lambda: terminal.table(f"trial {number}", ("key", "value"), [
         (k, str(v)) for k, v in shown.items()]))
 

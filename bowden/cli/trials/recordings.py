@@ -164,12 +164,12 @@ def report(
 
     Example: bowden report trial.mcap -o report.html
     """
-    from bowden.pages import reports
+    from bowden.pages import figures
     from bowden.trials.force_paths import opened
 
     output_files.refuse([output], overwrite=overwrite, inputs=[trial])
     output_files.refuse_ending(output, ".html", ".htm", what="a page")
     with terminal.waiting(f"reading {trial}"):
         recorded = opened(trial, path, whole=True)
-    size = reports.write_trial_page(recorded, output, overwrite=overwrite, progress=terminal.Terminal())
+    size = figures.write_trial_page(recorded, output, overwrite=overwrite, progress=terminal.Terminal())
     return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {size / 1e6:.1f} MB.")

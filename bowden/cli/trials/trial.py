@@ -177,7 +177,7 @@ FORCE_FIGURES = (
 def _show(
     result: dict[str, Any], output: Path, picture: Path | None, bus: str, *, dry_run: bool, with_end: bool
 ) -> None:
-    from bowden.pages.reports import PAPER_RMSE_PERCENT
+    from bowden.pages.figures import PAPER_RMSE_PERCENT
 
     figure = terminal.number
     paper = {"relative_rmse_percent": figure(PAPER_RMSE_PERCENT.get(result["peak_n"])), "max_idle_tension_n": "< 1"}
