@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from bowden.model_files import read as read_model
     from bowden.model_files import write as write_model
     from bowden.models.diagnosing import Diagnosis, DiagnosisResult, DiscoveryResult, discover
+    from bowden.models.experiment_plan import WalkPlan, plan
     from bowden.models.identification import StoppedError, fit, identify
     from bowden.models.simulating import Simulation, simulate
     from bowden.progress import Progress
     from bowden.trials.experiment import Experiment, Verified, run, verify
-    from bowden.trials.planning import WalkPlan, plan
     from bowden.trials.recorded_trial import Trial, compare, export
     from bowden.trials.recorded_trial import read_trial as read
     from bowden.trials.recording import record
@@ -48,11 +48,12 @@ _HOMES = {
     "Node": "bowden.bench.any_node", "Progress": "bowden.progress",
     "Simulation": "bowden.models.simulating", "StoppedError": "bowden.models.identification",
     "Trial": "bowden.trials.recorded_trial",
-    "Verified": "bowden.trials.experiment", "WalkPlan": "bowden.trials.planning", "bus": "bowden.bench.buses",
+    "Verified": "bowden.trials.experiment", "WalkPlan": "bowden.models.experiment_plan", "bus": "bowden.bench.buses",
     "compare": "bowden.trials.recorded_trial", "discover": "bowden.models.diagnosing",
     "DiscoveryResult": "bowden.models.diagnosing", "doctor": "bowden.bench.examination",
     "export": "bowden.trials.recorded_trial", "fit": "bowden.models.identification",
-    "identify": "bowden.models.identification", "nominal": "bowden.model_files", "plan": "bowden.trials.planning",
+    "identify": "bowden.models.identification", "nominal": "bowden.model_files",
+    "plan": "bowden.models.experiment_plan",
     "read": "bowden.trials.recorded_trial:read_trial", "read_model": "bowden.model_files:read",
     "record": "bowden.trials.recording", "replay": "bowden.replay", "run": "bowden.trials.experiment",
     "simulate": "bowden.models.simulating", "simulated": "bowden.bench.buses", "sweep": "bowden.sweep",

@@ -1,7 +1,12 @@
-"""A bench over months as one offline HTML page: alarms first, a sparkline per constant, trials one click away."""
+"""A bench over months as one offline HTML page: alarms first, a sparkline per constant, trials one click away.
+
+`export_table` writes a table of the logbook as CSV or Parquet.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -9,9 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from logbook.bench_state import CANNOT, CONSTANTS, BenchState, ConstantCourse
-from logbook.change_cause import DatedChange
+from logbook.bench_state import CANNOT, CONSTANTS, BenchState, ConstantCourse, DatedChange, state_of
 from logbook.database import Logbook, TrialEntry
+from parameters import InputError
 from parameters.files import write_whole
 
 WIDTH, HEIGHT = 420.0, 44.0
@@ -164,3 +169,47 @@ def _figure(figures: Mapping[str, Any]) -> str:
 
 
 __all__: Sequence[str] = ("page", "write")
+
+
+TABLES: Final = {"trials": "trial", "sessions": "session", "verdicts": "verdict", "notes": "note", "models": "model"}
+CONSTANTS_TABLE: Final = "constants"
+CONSTANT_HEADER: Final = ("session", "label", "constant", "unit", "value", "low", "high")
+
+
+def export_table(book: Logbook, what: str, path: Path) -> int:
+    """Write one table to a .csv or .parquet file; return its number of rows."""
+    header, rows = _content(book, what)
+    if path.suffix.lower() == ".parquet":
+        _write_parquet(path, header, rows)
+    else:
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
+        write_whole(path, text.getvalue(), overwrite=True)
+    return len(rows)
+
+
+def _content(book: Logbook, what: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+    if what in TABLES:
+        return book.table(TABLES[what])
+    if what != CONSTANTS_TABLE:
+        raise InputError(f"--table {what}: expected one of {', '.join((*TABLES, CONSTANTS_TABLE))}.")
+    state = state_of(book)
+    rows = [(number, state.labels[number], c.name, c.unit, float(c.value[k]), float(c.low[k]), float(c.high[k]))
+            for c in state.courses.values() for k, number in enumerate(state.sessions)]
+    return list(CONSTANT_HEADER), rows
+
+
+def _write_parquet(path: Path, header: list[str], rows: list[tuple[Any, ...]]) -> None:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise InputError(f"{path}: Parquet needs pyarrow; say pip install 'bowden-bench[parquet]', or name a .csv "
+                         "file.") from None
+    columns = list(zip(*rows, strict=True)) if rows else [()] * len(header)
+    table = pyarrow.table({name: list(column) for name, column in zip(header, columns, strict=True)})
+    out = io.BytesIO()
+    pyarrow.parquet.write_table(table, out)
+    write_whole(path, out.getvalue(), overwrite=True)

@@ -128,7 +128,7 @@ class Bus(NamedTuple):
 
     def sections(self, rate: int | None = None) -> dict[str, Any]:
         """Return the checked sections of the configuration, the network overridden by the given options."""
-        from bowden.bench import configuration, safety_table
+        from bowden.bench import configuration
 
         sections = configuration.read(self.config)
         sections["network"] = configuration.override(
@@ -136,7 +136,7 @@ class Bus(NamedTuple):
         sections["limits"] = configuration.override(
             sections["limits"], {"raised": ("--raise-limits", self.raise_limits)})
         configuration.refuse_raised(sections["limits"], str(self.config))
-        safety_table.refuse_unheld(sections, str(self.config))
+        configuration.refuse_unheld(sections, str(self.config))
         return sections
 
     def network(self) -> Any:

@@ -1,4 +1,8 @@
-"""The experiment that makes an ambiguity set single: of trials, of a logbook, or of a bench model that is simulated."""
+"""Experiments before they are run: the expected result of one, and the one that makes an ambiguity set single.
+
+`plan` simulates an experiment on the nominal bench and examines it as a trial would be; `of_trials`, `of_logbook` and
+`of_model` find the experiment that decides.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +10,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bowden.models import logbook_entries
-from bowden.trials import planning
 from diagnosis.evidence import decision
 from diagnosis.evidence.experiment_prediction import DECIDES, PlannedExperiment, predicted_experiments
 from diagnosis.evidence.hypothesis_search import search
@@ -26,6 +29,72 @@ from logbook.database import open_logbook
 from parameters import InputError, read_toml
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
+
+if TYPE_CHECKING:
+    from diagnosis.evidence.planned_limits import Plan
+
+GAIT = "gait"
+
+
+class WalkPlan(NamedTuple):
+    """Gait of the planned experiment; None uses the configuration's default.
+
+    `noise_n` is 1σ of both tension sensors.
+    """
+
+    peak_n: float | None = None
+    period_s: float | None = None
+    cycles: int | None = None
+    noise_n: float | None = None
+
+
+AS_CONFIGURED = WalkPlan()
+
+
+def plan(name: str, walk: WalkPlan = AS_CONFIGURED, calibration: Path | None = None,
+         healthy: Sequence[Path] = ()) -> Plan:
+    """Simulate the experiment `name` ("gait", or one of the catalogue) and return its expected result.
+
+    `healthy`: reference trials of the bench to be examined, `calibration` its calibration. Without both, a gait and the
+    experiment itself, simulated, are the reference trials. Raises `InputError`.
+    """
+    from diagnosis.evidence.planned_limits import plan as planned
+    from estimation.data import table as data
+    from parameters import read_toml
+
+    with TemporaryDirectory(prefix="bowden-") as folder:
+        recorded = {each: Path(folder) / f"{each}.mcap" for each in dict.fromkeys((GAIT, name))}
+        wanted = [name] if healthy or calibration else list(recorded)
+        for each in wanted:
+            simulate(each, walk, recorded[each])
+        tables = [data.read(recorded[each]) for each in wanted]
+    if calibration is not None or healthy:
+        known = None if calibration is None else read_toml(calibration)
+        return planned(tables[0], [data.read(path) for path in healthy], known)
+    return planned(tables[-1], tables)
+
+
+def simulate(name: str, walk: WalkPlan, recorded: Path, *, day: int = 0,
+             plant_model: Mapping[str, Any] | None = None) -> None:
+    """Record the experiment on the nominal bench, or on `plant_model`, its sensors as noisy as asked for."""
+    from bowden.bench import buses, configuration
+    from bowden.trials import session
+
+    sections = configuration.read(None)
+    gait = configuration.override(sections["gait"], {
+        "peak_n": ("--peak", walk.peak_n), "period_s": ("--period", walk.period_s), "cycles": ("--cycles", walk.cycles),
+        "settle": ("--settle", 0)})
+    reference, sections["gait"], _ = session.reference(
+        gait, None, None, period_given=True, peak_given=walk.peak_n is not None)
+    sensor = {"noise_n": walk.noise_n}
+    noisy = plant_model if walk.noise_n is None else {"start_sensor": sensor, "end_sensor": sensor}
+    script = None if name == GAIT else name
+    prepared = session.prepare(
+        sections, reference, None, buses.simulated(serial=0, day=day, plant_model=noisy), dry_run=False, script=script)
+    result = session.perform(prepared, recorded)
+    if result["outcome"] != "completed":
+        raise InputError(f"--plan {name}: the simulated trial stopped ({result['stop_reason']}); ask for less.")
+
 
 SIMULATED_DAYS: Final = (0, 1, 2)
 """Sessions of a simulated bench: two of reference trials, then that of the trial with the model's effects."""
@@ -104,7 +173,7 @@ def of_model(model: Path) -> ExperimentPlan:
     with TemporaryDirectory(prefix="bowden-") as folder:
         paths = [Path(folder) / f"{day}.mcap" for day in SIMULATED_DAYS]
         for day, path in zip(SIMULATED_DAYS, paths, strict=True):
-            planning.simulate(planning.GAIT, planning.AS_CONFIGURED, path, day=day,
+            simulate(GAIT, AS_CONFIGURED, path, day=day,
                               plant_model=tables if day == SIMULATED_DAYS[-1] else without)
         return of_trials(paths[-1:], paths[:-1])
 

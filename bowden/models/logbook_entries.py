@@ -16,8 +16,17 @@ from threadpoolctl import threadpool_limits
 
 from estimation.data import table
 from estimation.linear_sums import session_sums
-from logbook.bench_state import CONSTANTS, BenchState, measured_deviations, sequence_of, state_of
-from logbook.change_cause import Cause, enter_cause, outdated, trials_of
+from logbook.bench_state import (
+    CONSTANTS,
+    BenchState,
+    Cause,
+    enter_cause,
+    measured_deviations,
+    outdated,
+    sequence_of,
+    state_of,
+    trials_of,
+)
 from logbook.database import Logbook, NewTrial, TrialEntry, open_logbook
 from logbook.session_fits import fit_missing, recording_of
 from parameters import InputError
@@ -151,7 +160,7 @@ def _described(path: Path, figures: Mapping[str, Any] | None, force_path: str) -
 
 def _figures(recorded: read.Trial) -> dict[str, Any]:
     from trial import metrics
-    from trial.report.setting import known, setting
+    from trial.report.overview import known, setting
     from trial.report.trial_page import NEEDED
 
     judged = setting(recorded)

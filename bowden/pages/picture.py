@@ -22,7 +22,6 @@ TRACES = (("desired_force_n", "desired", "0.15", "--"), ("tension_start_n", "STA
 
 def signals(columns: Columns, units: Mapping[str, str], names: Sequence[str], title: str) -> Figure:
     """Return a figure of signals over time, one axis for each unit; raises `InputError` for an unknown name."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     chosen = list(names) or [name for name, *_ in TRACES if name in columns]
@@ -33,7 +32,6 @@ def signals(columns: Columns, units: Mapping[str, str], names: Sequence[str], ti
     for name in chosen:
         by_unit.setdefault(units[name], []).append(name)
     figure = Figure(figsize=(10, 1.2 + 2.6 * max(len(by_unit), 1)), layout="constrained")
-    FigureCanvasAgg(figure)
     drawn = figure.subplots(max(len(by_unit), 1), 1, sharex=True, squeeze=False)[:, 0]
     colours = {name: (colour, style) for name, _, colour, style in TRACES}
     for axes, (unit, group) in zip(drawn, by_unit.items(), strict=False):
@@ -53,11 +51,9 @@ def draw(force_paths: Mapping[str, Columns], path: Path) -> None:
 
     Forces in N, time in s.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10 * len(force_paths), 6.2), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(2, len(force_paths), squeeze=False)
     for (title, columns), (over_time, over_phase) in zip(force_paths.items(), axes.T, strict=True):
         _draw_path(over_time, over_phase, columns, title)

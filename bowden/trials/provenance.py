@@ -14,7 +14,7 @@ from importlib import metadata as installed
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bowden.bench import safety_table
+from bowden.bench import configuration
 from bowden.bench.configuration import PERSON, as_text
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[s
     return {
         "bench.toml": as_text(sections).encode(),
         "calibration.toml": write(calibration).encode(),
-        safety_table.ATTACHMENT: safety_table.as_csv(safety_table.table(sections)),
+        configuration.SAFETY_TABLE: configuration.held_as_csv(configuration.held_limits(sections)),
         "packages.txt": "".join(f"{name}=={_version(name)}\n" for name in PACKAGES).encode(),
         **devices,
     }

@@ -188,7 +188,7 @@ def prepare(
     compensates, too: files, or their content. `knee` is the file of the strides that a walk plays. A bench with a limb
     is refused without a file of recent set-up checks.
     """
-    from bowden.bench import configuration, safety_table
+    from bowden.bench import configuration
     from bowden.trials import provenance, setup_checks
     from eds.bench import bus_load
     from eds.bench.bench_network import wire
@@ -200,7 +200,7 @@ def prepare(
 
     bus_load.refuse(wire(sections["network"]))
     configuration.refuse_raised(sections["limits"], "this bench")
-    safety_table.refuse_unheld(sections, "this bench")
+    configuration.refuse_unheld(sections, "this bench")
     file = calibration if isinstance(calibration, Path) else None
     setup_checks.refuse_unchecked(sections, file)
     files = {**(files or {}), **setup_checks.attached(file)}

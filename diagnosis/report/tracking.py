@@ -15,8 +15,8 @@ from parameters import InputError
 from physics.laws import Array
 from trial import metrics, read
 from trial.read import Trial
+from trial.report.overview import setting
 from trial.report.page import Page, Series
-from trial.report.setting import setting
 
 FIGURES: Final = (
     ("relative_rmse_percent", "relative RMSE, whole cycles", "%"),

@@ -20,8 +20,7 @@ import pytest
 from bowden.cli.app import run
 from estimation.linear_sums import SessionSums, Sums
 from logbook import database
-from logbook.bench_state import CANNOT, CONSTANTS, SET_SHARE, UNCHANGED, constants_of
-from logbook.change_cause import Cause, enter_cause
+from logbook.bench_state import CANNOT, CONSTANTS, SET_SHARE, UNCHANGED, Cause, constants_of, enter_cause
 from logbook.database import NewTrial, open_logbook
 from physics.path_constants import FREE, SESSION_SD
 

@@ -14,8 +14,8 @@ import pytest
 
 import trial
 from bowden.bench import configuration
-from bowden.sweep import controller_ranking, run
 from bowden.sweep import rows as sweep_rows
+from bowden.sweep import run, sweep_table
 from bowden.sweep.sweep_table import SweepTable
 from parameters import InputError
 
@@ -92,7 +92,7 @@ def test_a_sweep_varies_them_and_a_trial_that_raises_ends_its_row(own: Path) -> 
     made = list(csv.DictReader(io.StringIO((own / "t.csv").read_text())))
     assert [row["outcome"] for row in made] == ["completed", "stopped", "completed", "stopped", "completed"]
     assert "KeyError" in made[1]["stop_reason"]
-    ranked = controller_ranking.ranked(controller_ranking.read(own / "t.csv"))
+    ranked = sweep_table.ranked(sweep_table.ranked_rows(own / "t.csv"))
     assert {one.controller for one in ranked} == {(row["gait.tuning"] and f"own.py:Own {row['gait.tuning']}") or "none"
                                                   for row in made}
     with pytest.raises(InputError, match=r"controller\.ki: no controller of this sweep declares"):

@@ -15,9 +15,8 @@ from eds.bench.bench_network import NAMES, Network, wire
 from parameters import InputError
 from parameters.files import refuse_special
 from trial.convert import imports
-from trial.convert.csv_table import offer
+from trial.convert.csv_table import guesses, offer
 from trial.convert.frames import LoggedFrames
-from trial.convert.guess_map import guesses
 from trial.convert.lab_table import LabTable
 from trial.mcap_file import cdr
 from trial.signals import UNITS

@@ -3,19 +3,29 @@
 A column is taken under its canonical name, or under the name, unit, factor and offset that a map gives it; other
 columns are left out and named. An empty cell or NaN is an unknown value; a cell that is not a number is an error with
 its row.
+
+A map can be guessed from names, units and ranges, to be checked by an engineer of that bench; each guess states its
+grounds. A stated unit is never dropped: a column with an unsupported unit is not assigned. Every column that is not
+assigned is listed with the reason. Words of English, German, French, Spanish and romanised Chinese laboratories are
+recognised.
 """
 
-from collections.abc import Mapping
+import json
+import math
+import re
+import unicodedata
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from parameters import InputError, from_table, parameter, read_toml
-from trial.convert.csv_file import DEGREE_ALIAS, Dialect
+from trial.convert.csv_file import DEGREE_ALIAS, Dialect, reserved
 from trial.convert.lab_table import TO_SI, Floats, LabTable, unit_of
 from trial.convert.sheets import sheet_of
-from trial.signals import UNITS
+from trial.signals import MOTION_AND_FORCE, UNITS
 
 CSV_TABLE = "csv"  # of a map: how the file is written
 
@@ -132,3 +142,264 @@ def _refuse_other_unit(sheet: LabTable, name: str, source: SignalSource) -> None
 
 
 __all__ = ["TO_SI", "Columns", "Map", "SignalSource", "columns_of", "offer", "read", "read_map", "unit_of"]
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+FORCE = _words("force forces tension load loadcell cell kraft zugkraft seilkraft newton f fx fz effort fuerza carga "
+               "traccion li lali zhangli suoli shengli")
+TARGET = _words("target desired reference ref set setpoint command commanded cmd soll demand goal consigne consigna "
+                "objetivo deseada mubiao")
+ROPE = _words("rope cable wire tendon bowden motor servo drum winch actuator position pos displacement disp stroke "
+                 "weg seil seilweg length travel enc encoder moteur corde deplacement course posicion desplazamiento "
+                 "recorrido weizhi weiyi shengsuo gangsi lasheng dianji xingcheng")
+SPEED = _words("velocity vel speed geschwindigkeit vitesse velocidad sudu")
+KNEE = _words("knee knie joint angle winkel flexion gelenk theta genou angulo rodilla jiaodu xiguanjie guanjie "
+              "xijiao xigai xibu zhuanjiao")
+NEAR = _words("start input in proximal prox motorside upstream near front 1 a antrieb eingang source vorne vorn "
+              "vorder ein avant entree amont delantera delantero entrada shuru "
+              "jinduan qian qianduan qianli ruduan rukou shiduan "
+              "in")
+FAR = _words("end output out distal dist loadside downstream far rear back 2 b abtrieb ausgang tip hinten hinter "
+             "arriere sortie aval trasera trasero salida shuchu yuanduan hou houduan houli aus "
+             "moduan chuduan chukou zhongduan")
+GUESS = _words("estimate estimated est model predicted")
+TIME = _words("time t timestamp zeit clock elapsed seconds sec temps tiempo shijian shike")
+PERCENT = _words("gait phase percent pct gang")
+COUNT = _words("cycle cycles stride rep repetition zyklus step ciclo zhouqi")
+ACCELERATION = _words("acc accel acceleration beschleunigung imu")
+
+LEAST = {"N": 0.5}
+"""Smallest range of a signal that is not questioned where no unit is stated, by unit: kN of a rope bench are below."""
+MOST = {"N": 1000.0, "m": 2.0, "rad": 2 * math.pi}
+"""Largest value of a signal that is not questioned, by unit: beyond a rope bench, a wrong unit is likelier."""
+
+
+class Words(NamedTuple):
+    """Words of a signal's column: one of every group of `needs`, better also of `likes`, none of `never`."""
+
+    needs: tuple[frozenset[str], ...]
+    likes: frozenset[str]
+    never: frozenset[str]
+
+
+NOTHING: frozenset[str] = frozenset()
+WORDS = {
+    "time_s": Words((TIME,), NOTHING, NOTHING),
+    "gait_percent": Words((PERCENT,), PERCENT, FORCE),
+    "servo_target_m": Words((ROPE, TARGET), ROPE, FORCE | KNEE | SPEED),
+    "servo_position_m": Words((ROPE,), ROPE, FORCE | KNEE | TARGET | SPEED),
+    "servo_velocity_m_s": Words((SPEED,), ROPE, FORCE | KNEE | TARGET),
+    "servo_force_n": Words((FORCE, frozenset(("motor", "servo", "drive", "actuator"))), NOTHING, NEAR | FAR | TARGET),
+    "knee_target_rad": Words((KNEE, TARGET), KNEE, FORCE),
+    "knee_angle_rad": Words((KNEE,), KNEE, FORCE | TARGET | SPEED),
+    "tension_start_n": Words((FORCE, NEAR), FORCE, TARGET | GUESS),
+    "tension_end_n": Words((FORCE, FAR), FORCE, TARGET | GUESS),
+    "desired_force_n": Words((FORCE, TARGET), FORCE, NOTHING),
+    "estimated_end_force_n": Words((FORCE, GUESS), FORCE, NOTHING),
+    "cycle": Words((COUNT,), NOTHING, FORCE | TIME),
+}
+_KNOWN = frozenset().union(FORCE, TARGET, ROPE, KNEE, NEAR, FAR, GUESS, _words("left right links rechts"))
+_SYMBOL = re.compile(r"\bF(in|out|start|end|prox|dist|ein|aus)(?![a-z])", re.IGNORECASE)
+"""A force's symbol with its index written behind it, as in Fin_lbf."""
+_UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$|\s*/\s*([^\s/\d]+)\s*$|\s+in\s+(\S+)\s*$|_([A-Za-zµ°%]+)$")
+
+
+class Guess(NamedTuple):
+    """A column for a signal, the confidence, its grounds, and a question to check ("": nothing special)."""
+
+    signal: str
+    column: str
+    unit: str
+    scale: float
+    why: str
+    score: float
+    question: str = ""
+
+
+class Unassigned(NamedTuple):
+    """A column that is given to no signal, and the reason."""
+
+    column: str
+    why: str
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return a header without its unit, and the unit as it is written; empty if it states none."""
+    found = _UNIT.search(name)
+    if found is None:
+        return name, ""
+    bracketed = found[1]
+    text = next(filter(None, found.groups()), "").strip()
+    if unit_of(text) and not (text.lower() == "in" and not bracketed):  # F_in is an input, not inches
+        return name[:found.start()], text
+    stated = bracketed and text not in ("-", "1", "#") and " " not in text and not _tokens(text) & _KNOWN
+    return (name[:found.start()], text) if stated else (name, "")
+
+
+def guesses(sheet: LabTable) -> list[Guess]:
+    """Return at most one column for each signal, the surest first taken."""
+    found = [guess for name in sheet.names[:2000] if name not in sheet.faults
+             for signal in MOTION_AND_FORCE if (guess := _guess(sheet, name, signal.name, signal.unit)) is not None]
+    taken: dict[str, Guess] = {}
+    columns: set[str] = set()
+    for guess in sorted(found, key=lambda one: -one.score):
+        if guess.signal not in taken and guess.column not in columns:
+            taken[guess.signal] = guess
+            columns.add(guess.column)
+    return [taken[signal.name] for signal in MOTION_AND_FORCE if signal.name in taken]
+
+
+def unassigned(sheet: LabTable, found: Sequence[Guess]) -> list[Unassigned]:
+    """Return the columns that no signal has, each with the reason."""
+    by_signal = {guess.signal: guess.column for guess in found}
+    taken = set(by_signal.values())
+    rows = []
+    for name in [name for name in sheet.names if name not in taken][:200]:
+        stated = _stated(sheet, name)[1]
+        fits = [] if name in sheet.faults else [
+            signal.name for signal in MOTION_AND_FORCE if _guess(sheet, name, signal.name, signal.unit) is not None]
+        if name in sheet.faults:
+            why = "no numbers"
+        elif stated and not unit_of(stated):
+            why = f"its unit {stated!r} is not known: give a unit that is, and scale"
+        elif fits:
+            why = f"{by_signal[fits[0]]!r} looks more like {fits[0]}"
+        else:
+            why = "its name and unit fit no signal"
+        rows.append(Unassigned(name, why))
+    return rows + [Unassigned(name, why) for name, why in sheet.left_out.items()]
+
+
+def _stated(sheet: LabTable, name: str) -> tuple[str, str]:
+    """Return a column's name without its unit, and the unit by the row of units, else by the name, as written."""
+    bare, unit = split_unit(name)
+    unit_text = sheet.written_unit(name)
+    return bare, unit_text if unit_text not in ("", "-", "1") else unit
+
+
+def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
+    if reserved(name) and name != signal and name != "knee_angle_deg":
+        return None
+    bare, stated = _stated(sheet, name)
+    unit = unit_of(stated)
+    if stated and not unit and si not in ("1", "%"):
+        return None
+    if unit and TO_SI[unit][0] != si and not (unit == "ns" and si == "s"):
+        return None
+    words = _tokens(bare)
+    if unit in ("g", "mg") and words & ACCELERATION:
+        return None
+    words |= {"force"} if unit and TO_SI[unit][0] == "N" else set()
+    wanted = WORDS[signal]
+    if _met(words, wanted.never) and name != signal:
+        return None
+    met = sum(bool(_met(words, group)) for group in wanted.needs)
+    if met < len(wanted.needs) and name != signal and not (name in sheet.begins_ns and signal == "time_s"):
+        return None
+    values = sheet.column(name)
+    known = values[np.isfinite(values)]
+    if not len(known) or (signal == "time_s" and (np.diff(known) < 0).sum() > 0.01 * len(known)):
+        return None
+    score = 10.0 * (name == signal) + 2 * met + 0.5 * _met(words, wanted.likes) + bool(unit) - 0.1 * len(words)
+    chosen, scale, why = _unit(signal, si, unit, known)
+    return Guess(signal, name, chosen, scale, why, score, _question(si, chosen, bool(unit), known))
+
+
+def _question(si: str, unit: str, stated: bool, known: Floats) -> str:
+    """Return the question about a column whose largest value is beyond `LEAST` or `MOST`; "" between them."""
+    largest = float(np.abs(known).max()) * TO_SI[unit][1]
+    if not stated and 0.0 < largest < LEAST.get(si, 0.0):
+        return f"reaches only {largest:.4g} {si}, less than a rope bench has: no unit is stated, so is it k{si}?"
+    if largest <= MOST.get(si, math.inf):
+        return ""
+    return (f"reaches {largest:.4g} {si}, more than a rope bench has: "
+            f"{'is the unit right?' if stated else 'no unit is stated, so which is it?'}")
+
+
+def _met(words: set[str], group: frozenset[str]) -> int:
+    """Return how many words are of the group; German runs words together, so longer ones may be part of one."""
+    return sum(word in group or any(len(one) > 3 and one in word for one in group) for word in words)
+
+
+def _tokens(name: str) -> set[str]:
+    parted = re.sub(r"([a-z])([A-Z])|([A-Za-z])([0-9])", r"\1\3 \2\4", _SYMBOL.sub(r"f \1", name))
+    plain = unicodedata.normalize("NFKD", parted.lower()).encode("ascii", "ignore").decode()  # é as e, ä as a
+    return {word for word in re.split(r"[^a-z0-9]+", plain) if word}
+
+
+def _unit(signal: str, si: str, stated: str, known: Floats) -> tuple[str, float, str]:
+    """Return unit, factor and the reason; the range decides if no unit is stated."""
+    largest, step = float(np.abs(known).max()), float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+    unit, why = stated, "unit by the file" if stated else "unit by its range: check"
+    if not stated:
+        unit = si
+        if si == "s":
+            unit = next((name for above, name in ((1e17, "ns"), (1e14, "us"), (1e11, "ms")) if largest > above),
+                        "ms" if 0.5 < step < 1e3 and largest < 1e9 else "s")
+        elif si == "rad" and largest > 7:
+            unit = "deg"
+        elif si in ("m", "m/s") and largest > 2:
+            unit = f"m{si}"
+    scale = 1.0
+    if signal.startswith("knee") and np.median(known) > 0:
+        scale, why = -1.0, f"{why}; positive in the file, flexion is negative here"
+    return unit, scale, why
+
+
+def text(sheet: LabTable, map_name: str) -> str:
+    """Write the map of a table, commented; raises `InputError` where no column looks like time."""
+    found = guesses(sheet)
+    if not found:
+        raise InputError(f"{sheet.path}: no column's name, unit or range looks like a signal ("
+                         f"{', '.join(sheet.names[:20])}); write a map by hand, docs/trials.md shows one.")
+    lines = [f"# Map of {sheet.path.name}: {len(sheet)} rows, {len(sheet.names)} columns.",
+             "# Guessed from names, units and ranges: check every table, above all signs and which",
+             "# sensor is START and which END, then say",
+             f"#   bowden import {sheet.path} --map {map_name} -o trial.mcap", ""]
+    lines += _how(sheet)
+    for guess in found:
+        lines += _table(sheet, guess)
+    missing = [signal for signal in MOTION_AND_FORCE if signal.name not in {guess.signal for guess in found}]
+    lines += ["# No column looked like these; what is not there is missing knowledge, never zeros:"] if missing else []
+    lines += [f"# [{signal.name}]  # {signal.unit}: {signal.text}" for signal in missing]
+    lines += ["", "# Columns not assigned; to use one, write its signal's table as above, with column, unit and scale:",
+              *_rest(sheet, unassigned(sheet, found))]
+    return "\n".join(lines) + "\n"
+
+
+def _how(sheet: LabTable) -> list[str]:
+    """Return the detected dialect as a commented table [csv], of a workbook its sheet; nothing of other files."""
+    if not sheet.dialect:
+        return []
+    if "sheet" in sheet.dialect:
+        return ["[csv]", f"sheet = {json.dumps(sheet.dialect['sheet'], ensure_ascii=False)}", ""]
+    remarks = f" ({'; '.join(sheet.remarks)})" if sheet.remarks else ""
+    return [f"# The file is read with these values{remarks}; to read it otherwise, uncomment and change:", "# [csv]",
+            *(f"# {name} = {json.dumps(value, ensure_ascii=False)}" for name, value in sheet.dialect.items()), ""]
+
+
+def _table(sheet: LabTable, guess: Guess) -> list[str]:
+    meaning = next(signal for signal in MOTION_AND_FORCE if signal.name == guess.signal)
+    values = sheet.column(guess.column)
+    source = SignalSource(guess.column, guess.unit, guess.scale)
+    converted = values * source.factor(guess.signal, str(sheet.path))
+    lines = [f"[{guess.signal}]  # {meaning.text}", f"column = {json.dumps(guess.column, ensure_ascii=False)}"
+             f"  # {_range(values)} in the file, {_range(converted)} {meaning.unit} then"]
+    lines.append(f"unit = {json.dumps(guess.unit, ensure_ascii=False)}  # {guess.why}")
+    lines += [f"# CHECK: {guess.question}"] if guess.question else []
+    return [*lines, f"scale = {guess.scale:g}", "offset = 0.0", ""]
+
+
+def _range(values: Floats) -> str:
+    known = values[np.isfinite(values)]
+    return f"{known.min():.6g} … {known.max():.6g}" if len(known) else "nothing known"
+
+
+def _rest(sheet: LabTable, columns: Iterable[Unassigned]) -> list[str]:
+    rows = [f"#   {json.dumps(name, ensure_ascii=False)}: "
+            + (why if name in sheet.faults or name not in sheet else
+               f"{_range(sheet.column(name))}; {why}") for name, why in columns]
+    return rows or ["#   none"]

@@ -13,9 +13,8 @@ from eds import cia301
 from trial.mcap_file import cdr
 from trial.read import Trial, TrialFile
 from trial.report.force_section import TIME, chosen, over_time
-from trial.report.overview import COUNTED, INTERVAL, TIMED, Overview, Quantiles
+from trial.report.overview import COUNTED, INTERVAL, TIMED, Overview, Quantiles, TrialSetting, known, seconds
 from trial.report.page import Cell, Page, Series
-from trial.report.setting import TrialSetting, known, seconds
 from trial.signals import PDO_NAMES
 
 Floats = NDArray[np.float64]

@@ -12,9 +12,19 @@ from numpy.typing import NDArray
 
 from trial import slow_columns
 from trial.read import Trial, TrialFile
-from trial.report.overview import ERROR, HIGH, LOW, SINGLE_CYCLES, GaitCycles, Overview, gait_cycles
+from trial.report.overview import (
+    ERROR,
+    HIGH,
+    LOW,
+    SINGLE_CYCLES,
+    GaitCycles,
+    Overview,
+    TrialSetting,
+    gait_cycles,
+    known,
+    seconds,
+)
 from trial.report.page import Page, Series
-from trial.report.setting import TrialSetting, known, seconds
 from trial.report.words import display_unit, words
 from trial.signals import UNITS
 

@@ -10,9 +10,8 @@ from trial import metrics, read
 from trial.read import Extent, TrialFile
 from trial.report import bus_section, force_section
 from trial.report.bus_section import FrameBits
-from trial.report.overview import BINS, PHASE_BINS, Overview, overview
+from trial.report.overview import BINS, PHASE_BINS, Overview, TrialSetting, known, overview, setting, unknown
 from trial.report.page import UNKNOWN, Cell, Page, Tile, number
-from trial.report.setting import TrialSetting, known, setting, unknown
 from trial.report.words import folded, quantity, shown, words
 
 FIGURES = (

@@ -65,7 +65,7 @@ def check_config(file: ConfigFile) -> CommandAnswer:
 
     Example: bowden init -o bench.toml && bowden check config bench.toml
     """
-    from bowden.bench import configuration, safety_table
+    from bowden.bench import configuration
     from eds.bench.bench_network import lacks, wire
     from eds.bench.bus_load import LOAD_GOAL_PERCENT, rate_that_fits, refuse
     from master.limit_holders import COLUMNS, unheld
@@ -78,7 +78,7 @@ def check_config(file: ConfigFile) -> CommandAnswer:
     if missing:
         return CommandAnswer({"lacks": missing}, missing, 1)
     above, of_paths = limits.above_packaged(), by_path(limits, network.bench)
-    built, held = wire(network), safety_table.table(sections)
+    built, held = wire(network), configuration.held_limits(sections)
     nobody = unheld(held)
     found = refuse(built)
     fits = rate_that_fits(built)
@@ -111,7 +111,7 @@ def check_config(file: ConfigFile) -> CommandAnswer:
         "refusal": refused, "limits_above_packaged": above, "limits_raised": limits.raised,
         "limits": {path: {name: getattr(found, name) for name, _ in _numbers(found)}
                    for path, found in of_paths.items()},
-        "safety_functions": safety_table.as_objects(held), "held_by_nobody": nobody,
+        "safety_functions": configuration.held_as_objects(held), "held_by_nobody": nobody,
         "load_percent": found.load_percent, "goal_percent": LOAD_GOAL_PERCENT, "rate_that_fits_hz": fits,
         "inputs_ns": found.inputs_ns, "deadline_ns": found.deadline_ns, "streams": [
             {"name": stream.name, "cob_id": stream.can_id, "bits": stream.bits(), "period_ns": stream.period_ns,
@@ -222,11 +222,11 @@ def doctor(
         return _soak(reached, soak, output, overwrite=overwrite)
     if output is not None:
         raise InputError(f"-o {output}: is the report of a soak; add --soak MINUTES.")
-    from bowden.bench import examination, safety_table
+    from bowden.bench import configuration, examination
     from master.limit_holders import COLUMNS
 
     sections = reached.sections()
-    held = safety_table.table(sections)
+    held = configuration.held_limits(sections)
     with terminal.waiting("looking"):
         found = list(examination.examine(sections["network"], reached.chosen(), seconds))
     faults = sum(not finding.good for finding in found)
@@ -242,7 +242,7 @@ def doctor(
     return CommandAnswer({"findings": [
         {"what": finding.what, "good": finding.good, "seen": finding.seen,
          "remedy": None if finding.good else finding.remedy} for finding in found], "faults": faults,
-        "safety_functions": safety_table.as_objects(held)}, words, 1 if faults else 0)
+        "safety_functions": configuration.held_as_objects(held)}, words, 1 if faults else 0)
 
 
 def _soak(reached: Bus, minutes: float, output: Path | None, *, overwrite: bool) -> CommandAnswer:

@@ -279,10 +279,10 @@ def _parameters(parameters: dict[str, Any]) -> str:
 
 
 def _plan(name: str, walk: tuple[Any, ...], calibration: Path | None, healthy: list[Path]) -> CommandAnswer:
-    from bowden.trials import planning
+    from bowden.models import experiment_plan
 
     with terminal.waiting(f"simulating {name}"):
-        found = planning.plan(name, planning.WalkPlan(*walk), calibration, healthy)
+        found = experiment_plan.plan(name, experiment_plan.WalkPlan(*walk), calibration, healthy)
     return CommandAnswer({"experiment": name, **found.as_json()}, lambda: _tell_plan(name, found))
 
 

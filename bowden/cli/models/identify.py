@@ -163,9 +163,9 @@ def _written(found: Sequence[IdentificationResult], output: Path, source: str, p
             continue
         write_whole(files[one.path], write(one.calibration), overwrite=True)
         if picture is not None:
-            from bowden.pages import loops_picture
+            from bowden.pages import model_pictures
 
-            loops_picture.draw(one.segments, f"{files[one.path].name}, measured in {source}",
+            model_pictures.draw_loops(one.segments, f"{files[one.path].name}, measured in {source}",
                                file_of(picture, one.path) if one.path else picture)
         if logbook is not None:
             from bowden.models import logbook_entries

@@ -140,8 +140,8 @@ def export_logbook(folder: Folder, output: options.Output, table: Table = "trial
 
     Example: bowden logbook init bench1 && bowden logbook export bench1 --table constants -o constants.csv
     """
+    from logbook.bench_page import export_table
     from logbook.database import FILE, open_logbook
-    from logbook.logbook_tables import export_table
 
     output_files.refuse([output], overwrite=overwrite, inputs=[folder / FILE])
     output_files.refuse_ending(output, ".csv", ".parquet", what="a table")

@@ -136,9 +136,9 @@ def _write(found: DiscoveryResult, output: Path | None, picture: Path | None, pr
     if output is not None:
         write_whole(output, found.model.text(), overwrite=True)
     if picture is not None:
-        from bowden.pages import law_picture
+        from bowden.pages import model_pictures
 
-        law_picture.draw(found.laws, picture)
+        model_pictures.draw_law(found.laws, picture)
     if promote is not None:
         write_whole(promote, own_effects.promoted(found.terms), overwrite=True)
     return [path for path in (output, picture, promote) if path is not None]

@@ -70,14 +70,14 @@ def import_(
 
 
 def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool) -> CommandAnswer:
-    from trial.convert import guess_map
+    from trial.convert import csv_table
     from trial.convert.imports import table_of
 
     output_files.refuse_ending(output, ".toml", what="a map")
     sheet = table_of(source, sheet_name)
-    write_whole(output, guess_map.text(sheet, str(output)), overwrite=overwrite)
-    found = guess_map.guesses(sheet)
-    others = guess_map.unassigned(sheet, found)
+    write_whole(output, csv_table.text(sheet, str(output)), overwrite=overwrite)
+    found = csv_table.guesses(sheet)
+    others = csv_table.unassigned(sheet, found)
 
     def words() -> None:
         if sheet.remarks:
@@ -162,16 +162,16 @@ def compare(
 
 def _rank_controllers(table: Path, other: Path | None, picture: Path | None, *, overwrite: bool) -> CommandAnswer:
     """Return the controllers of a sweep, the best first; status 1 where trials of one did not complete."""
-    from bowden.sweep import controller_ranking
+    from bowden.sweep import sweep_table
 
     if other is not None:
         raise InputError(f"--controllers ranks those of one table; leave {other} out.")
     output_files.refuse([picture], overwrite=overwrite, inputs=[table])
     output_files.refuse_picture(picture)
-    rows = controller_ranking.read(table)
-    found = controller_ranking.ranked(rows)
+    rows = sweep_table.ranked_rows(table)
+    found = sweep_table.ranked(rows)
     if picture is not None:
-        controller_ranking.draw(rows, picture)
+        sweep_table.draw_ranking(rows, picture)
 
     def words() -> None:
         number = terminal.number

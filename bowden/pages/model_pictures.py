@@ -1,20 +1,49 @@
-"""The paper's Figs. 9 and 10 from the experiments of an identification: stretch over force, rope over knee angle.
+"""Pictures of a bench model: the paper's Figs. 9 and 10 from the experiments of an identification, and discovered terms.
 
-The rule of this file: recorded segments in, ink and one sentence out; the fits are `calibration_fit`'s, the paper's
-units stand on the axes.
+The fits of stretch over force and of rope over knee angle are those of `calibration_fit`, in the paper's units.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from estimation.transfer import calibration_fit
 from estimation.transfer.calibration_fit import Segment
 from physics import laws
+from trial.report.words import display_unit
+
+if TYPE_CHECKING:
+    from diagnosis.laws.law_result import Laws
+
+SIGNALS: Final = {"tension_start_n": "START", "tension_end_n": "END", "servo_force_n": "servo force"}
+
+
+def draw_law(laws: Laws, path: Path) -> None:
+    """Write a PNG, SVG or PDF (by suffix) with one panel for each term."""
+    from matplotlib.figure import Figure
+
+    from diagnosis.report.law_section import AXES
+
+    figure = Figure(figsize=(6.4 * max(1, len(laws.terms)), 4.4), layout="constrained")
+    panels = figure.subplots(1, max(1, len(laws.terms)), squeeze=False)[0]
+    for axes, term, picture in zip(panels, laws.terms, laws.pictures, strict=False):
+        axis, si = AXES[picture.variable]
+        unit, factor = display_unit(si)
+        axes.plot(factor * picture.at, picture.residual, ".", ms=1.5, color="0.75",
+                  label="measured less model without the term")
+        at, *lines = picture.means()
+        for values, colour, name in zip(lines, ("0.25", "tab:blue"), ("its mean", "the term"), strict=True):
+            axes.plot(factor * at, values, color=colour, label=name)
+        axes.set(xlabel=f"{axis} ({unit})", ylabel=f"{SIGNALS.get(picture.output, picture.output)} ({picture.unit})")
+        axes.set_title(term.equation.split(", size")[0], fontsize="medium", wrap=True)
+        axes.grid(alpha=0.3)
+        axes.legend()
+    figure.savefig(path, dpi=120)
+
 
 SWING_STEP, PULL_STEP = 20, 5
 """Steps at which points are drawn: fewer points than a page has room for, as many as the eye can separate."""
@@ -50,15 +79,13 @@ def swing(axes: Any, segments: Sequence[Segment]) -> str:
             "constant is a matter of the encoder's zero).")
 
 
-def draw(segments: Sequence[Segment], title: str, path: Path) -> None:
+def draw_loops(segments: Sequence[Segment], title: str, path: Path) -> None:
     """Write a PNG, SVG or PDF (by suffix) of whichever of the two experiments are among `segments`."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     kinds = {segment.kind for segment in segments}
     wanted = [(name, panel) for name, panel in (("stiffness", stiffness), ("swing", swing)) if name in kinds]
     figure = Figure(figsize=(5.6 * max(1, len(wanted)), 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
     figure.suptitle(title)
     for axes, (_, panel) in zip(figure.subplots(1, max(1, len(wanted)), squeeze=False)[0], wanted, strict=False):
         axes.set_title(panel(axes, segments).split(" (paper")[0], fontsize="medium")
