@@ -1,4 +1,4 @@
-"""Pictures of a bench model: the paper's Figs. 9 and 10 from the experiments of an identification, and discovered terms.
+"""Pictures of bench models: the paper's Figs. 9 and 10 from the experiments of an identification; discovered terms.
 
 The fits of stretch over force and of rope over knee angle are those of `calibration_fit`, in the paper's units.
 """

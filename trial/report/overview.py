@@ -18,6 +18,7 @@ from trial.read import Extent, RowBlock, Trial, TrialFile
 from trial.report.page import extremes, interleaved
 from trial.signals import PDO_NAMES, SIGNALS
 
+Floats = NDArray[np.float64]
 SETTLE = 1  # first gait cycles that no figure counts, where nothing else is stated
 
 
@@ -93,7 +94,6 @@ def _greatest(trial: TrialFile, name: str) -> float | None:
     return max(found, default=None)
 
 
-Floats = NDArray[np.float64]
 BINS: Final = 20_000  # of a plot over time, each two points
 PHASE_BINS: Final = 500  # of a gait cycle, each two points
 SINGLE_CYCLES: Final = 12  # more gait cycles than these are drawn as a band
