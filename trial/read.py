@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parameters import InputError
-from trial.mcap_file import cdr, records, scan
+from trial.mcap_file import cdr, records
 from trial.mcap_file import container as mcap
 from trial.signals import UNITS, of_path
 
@@ -75,15 +75,15 @@ class TrialFile:
     table: str = cdr.CYCLE
     stored_names: Mapping[str, str] = field(default_factory=dict)
     has_frames: bool = True
-    _summary: scan.Summary | None = field(default=None, repr=False)
+    _summary: records.Summary | None = field(default=None, repr=False)
     _identity: tuple[int, ...] = field(default=(), repr=False)
 
     @contextmanager
-    def _view(self) -> Iterator[tuple[records.View, scan.Summary]]:
+    def _view(self) -> Iterator[tuple[records.View, records.Summary]]:
         with records.mapped(self.path) as view:
             if _identity(self.path) != self._identity:
                 raise InputError(f"{self.path}: the file changed since it was opened; open it again.")
-            yield view, self._summary or scan.summary(view, self.path)
+            yield view, self._summary or records.summary(view, self.path)
 
     @cached_property
     def extent(self) -> Extent:
@@ -176,15 +176,15 @@ def open_file(path: str | Path, table: str = cdr.CYCLE) -> TrialFile:
 
 
 def _file(view: records.View, path: Path, table: str) -> TrialFile:
-    summary = scan.summary(view, path)
+    summary = records.summary(view, path)
     channel = _described(summary, table, path)
-    metadata = scan.metadata(view, summary, path)
+    metadata = records.metadata(view, summary, path)
     return TrialFile(
         path=path,
         units=_columns(channel, path)[1],
         events=_events(view, summary, path),
         metadata=metadata.get("trial", {}),
-        attachments=scan.attachments(view, summary, path),
+        attachments=records.attachments(view, summary, path),
         result=_result(metadata.get("result"), path),
         derived=frozenset(channel.metadata.get("derived", "").split()),
         recovered=metadata.get("recovered"),
@@ -214,7 +214,7 @@ def whole(file: TrialFile) -> Trial:
 
 
 def _whole(view: records.View, file: TrialFile) -> Trial:
-    summary = file._summary or scan.summary(view, file.path)
+    summary = file._summary or records.summary(view, file.path)
     channel = _described(summary, file.table, file.path)
     times, values, lost = _table(view, summary, channel, file.path)
     stored = dict(zip(_columns(channel, file.path)[0], values, strict=True))
@@ -223,7 +223,7 @@ def _whole(view: records.View, file: TrialFile) -> Trial:
                  columns={name: stored[file.stored_names.get(name, name)] for name in file.units})
 
 
-def _described(summary: scan.Summary, table: str, path: Path) -> records.Channel:
+def _described(summary: records.Summary, table: str, path: Path) -> records.Channel:
     channel = _channel(summary, table)
     if channel is None:
         raise InputError(f"{path}: has no topic {table}, so it is no trial; say bowden import {path} -o FILE.")
@@ -236,18 +236,18 @@ def _identity(path: Path) -> tuple[int, ...]:
 
 
 def frame_blocks(
-    view: records.View, path: str | Path, summary: scan.Summary | None = None
+    view: records.View, path: str | Path, summary: records.Summary | None = None
 ) -> Iterator[NDArray[np.void]]:
     """Yield the CAN frames in an MCAP file's bytes a chunk at a time, as `cdr.FRAME_ROW`; none without `/can/frames`.
     """
-    summary, path = summary or scan.summary(view, path), Path(path)
+    summary, path = summary or records.summary(view, path), Path(path)
     channel = _channel(summary, cdr.FRAMES)
     if channel is None:
         return
     if channel.schema != cdr.FRAME_SCHEMA:
         raise InputError(f"{path}: {channel.topic} is not {cdr.FRAME_SCHEMA_NAME}; say bowden import.")
-    chunks = scan.chunks_of(summary, channel.number, path, len(view))
-    for content in scan.contents(view, chunks, path, summary.checked):
+    chunks = records.chunks_of(summary, channel.number, path, len(view))
+    for content in records.contents(view, chunks, path, summary.checked):
         yield cdr.frame_rows(_fixed(content, cdr.FRAME_RECORD, channel.number, path))
 
 
@@ -258,7 +258,7 @@ def _result(written: Mapping[str, str] | None, path: Path) -> dict[str, object] 
         raise InputError(f"{path}: the result is not JSON ({error}); say bowden import {path} -o FILE.") from None
 
 
-def _channel(found: scan.Summary, topic: str) -> records.Channel | None:
+def _channel(found: records.Summary, topic: str) -> records.Channel | None:
     return next((channel for channel in found.channels.values() if channel.topic == topic), None)
 
 
@@ -306,13 +306,13 @@ def _regular(rows: NDArray[np.void]) -> bool:
 
 
 def _table_records(
-    view: records.View, summary: scan.Summary, table: str, path: Path
+    view: records.View, summary: records.Summary, table: str, path: Path
 ) -> Iterator[NDArray[np.void]]:
     """Yield the message records of a table, a chunk at a time; raises `InputError` where their times do not rise."""
     channel = _described(summary, table, path)
     dtype, count, before_ns = cdr.cycle_record(len(_columns(channel, path)[0])), 0, -1
-    chunks = scan.chunks_of(summary, channel.number, path, len(view))
-    for content in scan.contents(view, chunks, path, summary.checked):
+    chunks = records.chunks_of(summary, channel.number, path, len(view))
+    for content in records.contents(view, chunks, path, summary.checked):
         rows = _fixed(content, dtype, channel.number, path)
         if not len(rows):
             continue
@@ -327,11 +327,11 @@ def _table_records(
 
 
 def _table(
-    view: records.View, summary: scan.Summary, channel: records.Channel, path: Path
+    view: records.View, summary: records.Summary, channel: records.Channel, path: Path
 ) -> tuple[Integers, Floats, int]:
     """Return times, columns (names, rows) and the number of lost rows of a table."""
     width = len(_columns(channel, path)[0])
-    chunks = scan.chunks_of(summary, channel.number, path, len(view))
+    chunks = records.chunks_of(summary, channel.number, path, len(view))
     room = sum(chunk.unpacked for chunk in chunks) // cdr.cycle_record(width).itemsize
     times, values = np.empty(room, np.int64), np.empty((width, room))
     count = sequence = 0
@@ -342,13 +342,13 @@ def _table(
     return times[:count], values[:, :count], sequence - count
 
 
-def _events(view: records.View, found: scan.Summary, path: Path) -> tuple[Event, ...]:
+def _events(view: records.View, found: records.Summary, path: Path) -> tuple[Event, ...]:
     channel = _channel(found, cdr.EVENTS)
     if channel is None:
         return ()
     events = []
-    for chunk in scan.chunks_of(found, channel.number, path, len(view)):
-        content = scan.content(view, chunk, path, found.checked)
+    for chunk in records.chunks_of(found, channel.number, path, len(view)):
+        content = records.content(view, chunk, path, found.checked)
         try:
             events += [Event(time_ns, *cdr.event_strings(payload))
                        for _, time_ns, payload in records.messages(content, channel.number)]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from parameters import InputError
 from parameters.files import replaced
-from trial.mcap_file import cdr, records, scan
+from trial.mcap_file import cdr, records
 from trial.mcap_file import container as mcap
 from trial.mcap_file.cdr import MESSAGE_HEAD
 from trial.record import Progress, silent
@@ -51,7 +51,7 @@ def recover(
     if whole.exists() and torn.exists() and whole.samefile(torn):
         raise InputError(f"{whole}: is the torn file itself; give another name.")
     with records.mapped(torn) as view:
-        channels = scan.described(view, torn) or surviving_channels(view)
+        channels = records.described(view, torn) or surviving_channels(view)
         if not channels:
             raise InputError(f"{torn}: no topic survived; nothing can be recovered.")
         with replaced(whole, overwrite=overwrite) as part, open(part, "wb", buffering=0) as file:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from parameters import InputError
 from trial.convert.frames import ChannelNumbers, FrameRows, LoggedFrames, Row
-from trial.mcap_file import cdr, records, scan
+from trial.mcap_file import cdr, records
 
 _FRAME = struct.Struct("<I3?B")
 
@@ -33,7 +33,7 @@ class ForeignContent:
 def read(path: Path) -> ForeignContent:
     """Read every topic that can be read."""
     with records.mapped(path) as view:
-        summary = scan.summary(view, path)
+        summary = records.summary(view, path)
         kinds = {channel.number: _kind(channel) for channel in summary.channels.values()}
         frames = [channel for channel in summary.channels.values() if kinds[channel.number] == "frames"]
         tables = [channel for channel in summary.channels.values() if kinds[channel.number] == "table"]
@@ -65,10 +65,10 @@ def _columns(tables: list[records.Channel], path: Path) -> tuple[tuple[str, ...]
 
 
 def _payloads(
-    view: records.View, summary: scan.Summary, channel: records.Channel, path: Path
+    view: records.View, summary: records.Summary, channel: records.Channel, path: Path
 ) -> Iterator[tuple[int, int, bytes]]:
-    for chunk in scan.chunks_of(summary, channel.number, path, len(view)):
-        content = scan.content(view, chunk, path, summary.checked)
+    for chunk in records.chunks_of(summary, channel.number, path, len(view)):
+        content = records.content(view, chunk, path, summary.checked)
         try:
             yield from records.messages(content, channel.number)
         except records.CutError:
@@ -76,7 +76,7 @@ def _payloads(
 
 
 def _table(
-    view: records.View, summary: scan.Summary, tables: list[records.Channel], width: int, path: Path
+    view: records.View, summary: records.Summary, tables: list[records.Channel], width: int, path: Path
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     times, rows = [], []
     for channel in tables:
@@ -88,7 +88,7 @@ def _table(
     return np.array(times, np.int64), np.array(rows).T.copy() if rows else np.empty((width, 0))
 
 
-def _frames(view: records.View, summary: scan.Summary, channels: list[records.Channel], path: Path) -> LoggedFrames:
+def _frames(view: records.View, summary: records.Summary, channels: list[records.Channel], path: Path) -> LoggedFrames:
     rows, numbers, malformed = FrameRows(), ChannelNumbers(), 0
     for channel in channels:
         for _, time_ns, payload in _payloads(view, summary, channel, path):
