@@ -18,8 +18,8 @@ from bowden.bench import buses, configuration
 from bowden.bench.buses import BusSettings
 from eds.bench.bench_network import Network, wire
 from master.network import doctor as computer
-from master.network.doctor import bus as heard
 from master.network.doctor import DoctorFinding
+from master.network.doctor import bus as heard
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
 

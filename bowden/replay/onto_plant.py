@@ -84,7 +84,7 @@ def commands(described: WireLayout) -> Selection:
         *requests}))
 
 
-def _origin_ns(first_ns: int, first_command_ns: int) -> int:
+def origin_ns(first_ns: int, first_command_ns: int) -> int:
     """Return the bus time at which the recording's first frame is played: shifted by whole seconds, so that every phase
     is kept.
 
@@ -204,15 +204,15 @@ def simulate(recorded: Trial, chosen: BusSettings, described: WireLayout, progre
         schedule = plan(frames, commands(described), lead_ns)
         heard = FrameRows()
         player = Player(schedule, Outlet({}, bus).send)
-        origin_ns = _origin_ns(int(frames["time_ns"].min()), int(schedule.times[0]))
+        begin_ns = origin_ns(int(frames["time_ns"].min()), int(schedule.times[0]))
 
         def hear(message: Any) -> None:
             data = bytes(message.data)
             heard.add((message.time_ns, message.arbitration_id, 0, len(data), 0, not message.is_rx, data))
 
         with progress.running("plant") as update:
-            wait_until(bus, bus.time_ns, origin_ns, hear)
-            player.play(origin_ns)
+            wait_until(bus, bus.time_ns, begin_ns, hear)
+            player.play(begin_ns)
             play_out(player, bus, bus.time_ns, hear, update)
     return heard.rows()
 
