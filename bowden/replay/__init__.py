@@ -3,13 +3,16 @@
     bowden.replay.onto("controller", trial)                        # its inputs, stepped again: bit for bit the same?
     bowden.replay.onto("plant", trial, bus=bowden.simulated(3))    # its commands, to a simulated bench: residuals
 
-`onto` is the public name of this package; its imports wait until the call.
+`onto` is the public name of this package; its imports wait until the call.  A comparison is bit for bit: it counts
+differences by name and keeps the first one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from bowden.progress import SILENT, Progress
 from parameters import InputError
@@ -71,3 +74,25 @@ def refuse_imported(recorded: Recorded, onto: str) -> None:
                          f"steps need; replay it {others}.")
     if onto == "plant" and not commands:
         raise InputError(f"{said}, which holds no targets that a plant could follow; replay it {others}.")
+
+
+Difference = TypeVar("Difference")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison(Generic[Difference]):
+    """`differing`: number of differences by name; `first`: the first difference, None if all agree."""
+
+    differing: Mapping[str, int]
+    first: Difference | None
+
+    @property
+    def same(self) -> bool:
+        """True if every compared value is as recorded, bit for bit."""
+        return self.first is None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the comparison as values that JSON can hold."""
+        told = asdict(self)
+        ends = {name: told.pop(name) for name in ("differing", "first")}
+        return {"same": self.same, **told, **ends}

@@ -10,8 +10,17 @@ from typing import Any
 
 from bowden.bench.buses import BusSettings, opened_one
 from bowden.progress import SILENT, Progress
-from bowden.replay.player import LINGER_NS, Lateness, Outlet, Player, ignore_message, play_out, wait_until
-from bowden.replay.schedule import Selection, plan
+from bowden.replay.player import (
+    LINGER_NS,
+    Lateness,
+    Outlet,
+    Player,
+    Selection,
+    ignore_message,
+    plan,
+    play_out,
+    wait_until,
+)
 from eds.cia301 import Frame
 from parameters import InputError
 from trial.playback import PlayerStatus

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bowden.replay.comparison import Comparison
+from bowden.replay import Comparison
 from eds.bench.bench_network import WireLayout, wire
 from estimation.transfer.homing_fit import HomingFit
 from master.control.controller import Kind

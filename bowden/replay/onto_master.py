@@ -15,9 +15,9 @@ import numpy as np
 
 from bowden.bench.buses import BusSettings, opened_one
 from bowden.progress import SILENT, Progress
-from bowden.replay.comparison import Comparison
+from bowden.replay import Comparison
 from bowden.replay.onto_plant import commands, lengths_ns
-from bowden.replay.schedule import Integers, Rows, frame_of
+from bowden.replay.player import Integers, Rows, frame_of
 from bowden.trials.recorded import experiment, script, sections
 from eds.bench.bench_network import wire
 from master.motion import scripted_experiments

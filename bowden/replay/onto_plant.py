@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,17 @@ from numpy.typing import NDArray
 from bowden import output_files
 from bowden.bench.buses import BusSettings, opened_one, simulating
 from bowden.progress import SILENT, Progress
-from bowden.replay.schedule import Rows, Selection
+from bowden.replay.player import Outlet, Player, Rows, Selection, plan, play_out, wait_until
 from bowden.trials import provenance, session
 from bowden.trials.recorded import sections
-from eds.bench.bench_network import MASTER, WireLayout
+from eds.bench.bench_network import MASTER, WireLayout, wire
 from eds.cia301 import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from parameters import InputError
 from trial import decode
+from trial.convert.frames import FrameRows
+from trial.mcap_file import cdr
 from trial.read import Trial
+from trial.record import TrialContent, write
 from trial.signals import SIGNALS, Signal, of_bench
 
 Floats = NDArray[np.float64]
@@ -166,12 +169,6 @@ def table(recorded: Trial, found: Residuals) -> tuple[tuple[Signal, ...], dict[s
         zip([signal.name for signal in signals[len(kept):]], found.columns.values(), strict=True))
 
 
-if TYPE_CHECKING:
-    from bowden.replay.schedule import Rows
-    from eds.bench.bench_network import WireLayout
-    from trial.read import Trial
-
-
 def replay(
     recorded: Trial, chosen: BusSettings, output: Path | None = None, *, overwrite: bool = False,
     progress: Progress = SILENT,
@@ -180,8 +177,6 @@ def replay(
 
     `output` gets the residuals as a separate trial.
     """
-    from eds.bench.bench_network import wire
-
     output_files.refuse([output], overwrite=overwrite, inputs=[recorded.path])
     described = wire(sections(recorded)["network"])
     session.compile_laws(simulated=True, progress=progress)
@@ -193,10 +188,6 @@ def replay(
 
 def simulate(recorded: Trial, chosen: BusSettings, described: WireLayout, progress: Progress = SILENT) -> Rows:
     """Return every frame of a simulated bench under the recorded commands, at the same bus times."""
-    from bowden.replay.player import Outlet, Player, play_out, wait_until
-    from bowden.replay.schedule import plan
-    from trial.convert.frames import FrameRows
-
     frames = recorded.frames
     bitrate = described.network.bitrate
     with opened_one(chosen, bitrate, **simulating(described.network), receive_own_messages=True) as bus:
@@ -219,7 +210,6 @@ def simulate(recorded: Trial, chosen: BusSettings, described: WireLayout, progre
 
 def lengths_ns(frames: Rows, bitrate: int) -> np.ndarray[Any, np.dtype[np.int64]]:
     """Return the duration of each recorded frame on the wire, ns."""
-    from trial.mcap_file import cdr
     from virtual_bus.wire.bit_counts import bits_of
 
     flags = frames["flags"]
@@ -228,8 +218,6 @@ def lengths_ns(frames: Rows, bitrate: int) -> np.ndarray[Any, np.dtype[np.int64]
 
 
 def _write(recorded: Trial, found: Residuals, output: Path, *, overwrite: bool) -> None:
-    from trial.record import TrialContent, write
-
     signals, columns = table(recorded, found)
     write(output, TrialContent(found.time_ns, columns, signals=signals),
           metadata={**recorded.metadata, "experiment": "residuals", "commit": provenance.commit()},

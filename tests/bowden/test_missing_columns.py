@@ -11,7 +11,7 @@ import pytest
 import trial
 from estimation.data import integrity
 from estimation.data import table as data_table
-from trial.report import force_section
+from trial.report import sections
 from trial.signals import MOTION_AND_FORCE
 
 COMMANDS = ("diagnose lacking.csv", "diagnose lacking.csv --healthy whole.csv",
@@ -82,5 +82,5 @@ def test_a_position_at_a_tenth_of_the_force_s_rate_is_diagnosed_and_drawn(
     assert "servo_position_m is recorded every 0.1 s" in read.notes[0]
     assert not any(finding.refuses for finding in integrity.examine(read))
     assert bowden("import", "slow.csv", "-o", "slow.mcap")[0] == 0
-    drawn = force_section.chosen(trial.open("slow.mcap"), ["servo_position_m"])["servo_position_m"]
+    drawn = sections.chosen(trial.open("slow.mcap"), ["servo_position_m"])["servo_position_m"]
     assert np.isfinite(drawn).mean() > 0.9  # but for the gap

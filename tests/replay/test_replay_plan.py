@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bowden.replay.schedule import Selection, nmt_states, nodes_of, plan, restoration
+from bowden.replay.player import Selection, nmt_states, nodes_of, plan, restoration
 from eds.cia301 import Frame, NmtCommand, NmtState
 from parameters import InputError
 from trial.convert.frames import rows_of

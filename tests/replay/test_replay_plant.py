@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bowden.replay.onto_plant import PREFIX, commands, origin_ns, residuals
-from bowden.replay.schedule import plan
+from bowden.replay.player import plan
 from parameters import InputError
 from trial.read import Trial
 from trial.read import open as opened

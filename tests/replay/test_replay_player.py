@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bowden.replay.player import Outlet, Player, play_out
-from bowden.replay.schedule import Schedule, Selection, plan
+from bowden.replay.player import Outlet, Player, Schedule, Selection, plan, play_out
 from eds.cia301 import Frame
 from parameters import InputError
 from trial.convert.frames import rows_of

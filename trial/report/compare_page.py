@@ -11,9 +11,9 @@ import numpy as np
 from trial import metrics
 from trial.compare import FieldDifference, TrialComparison, aligned
 from trial.read import Trial
-from trial.report.force_section import FORCE, MOTION
 from trial.report.overview import BINS, known, setting
 from trial.report.page import Cell, Page, Series, Tile, broken, number, thinned
+from trial.report.sections import FORCE, MOTION
 from trial.report.trial_page import FIGURES, NEEDED
 
 A, B = "#1f6fb2", "#d9730d"

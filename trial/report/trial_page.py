@@ -8,10 +8,10 @@ from pathlib import Path
 
 from trial import metrics, read
 from trial.read import Extent, TrialFile
-from trial.report import bus_section, force_section
-from trial.report.bus_section import FrameBits
+from trial.report import sections
 from trial.report.overview import BINS, PHASE_BINS, Overview, TrialSetting, known, overview, setting, unknown
 from trial.report.page import UNKNOWN, Cell, Page, Tile, number
+from trial.report.sections import FrameBits
 from trial.report.words import folded, quantity, shown, words
 
 FIGURES = (
@@ -48,8 +48,8 @@ def build(
     view = overview(trial, judged)
     parts: tuple[Callable[[], None], ...] = (
         *_signals(page, trial, view, frames, published),
-        lambda: bus_section.timing(page, view, judged, on_bus=bool(frames)),
-        lambda: bus_section.load(page, trial, frame_bits, bound_percent),
+        lambda: sections.timing(page, view, judged, on_bus=bool(frames)),
+        lambda: sections.load(page, trial, frame_bits, bound_percent),
         lambda: _events(page, trial, frames),
         lambda: _carried(page, trial),
         lambda: _reading(page, view.extent),
@@ -84,8 +84,8 @@ def _of_path(
         page.prefix = ""
 
     return [begin, lambda: _summary(page, one, view, judged, frames, published),
-            lambda: _strides(page, one, judged), lambda: force_section.force(page, one, view, judged),
-            lambda: force_section.motion(page, view.drawn), lambda: force_section.others(page, view.drawn), end]
+            lambda: _strides(page, one, judged), lambda: sections.force(page, one, view, judged),
+            lambda: sections.motion(page, view.drawn), lambda: sections.others(page, view.drawn), end]
 
 
 def _head(trial: TrialFile) -> Page:

@@ -68,7 +68,7 @@ def replay(
     """
     from bowden.bench import buses
     from bowden.replay import onto_bus, refuse_imported
-    from bowden.replay.schedule import Selection
+    from bowden.replay.player import Selection
     from bowden.trials import recorded
     from bowden.trials.force_paths import opened
     from trial.read import whole
