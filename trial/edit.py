@@ -15,8 +15,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from mcap.exceptions import McapError
+
 from parameters import InputError
 from parameters.files import refuse_special, replaced
+from trial import read
 from trial.mcap_file import cdr, records
 from trial.mcap_file.container import MAGIC
 
@@ -87,7 +90,6 @@ def merge(sources: Sequence[Path], target: Path, *, overwrite: bool = False) -> 
 
 @contextmanager
 def _reader(path: Path) -> Iterator[Any]:
-    from mcap.exceptions import McapError
     from mcap.reader import SeekingReader
 
     refuse_special(path)
@@ -126,8 +128,6 @@ def _length(reader: Any, first_ns: int) -> float:
 
 def _gait_span(source: Path, gait: tuple[int, int]) -> tuple[int, int]:
     """Return the time of the first cycle of gait cycle `gait[0]`, and of the first one after `gait[1]`."""
-    from trial import read
-
     opened = read.open(source)
     cycle = opened.columns.get("cycle")
     if cycle is None:

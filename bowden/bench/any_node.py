@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from bowden.bench import buses
+from bowden.bench.buses import BusSettings
 from eds.cia301 import Abort
 from eds.dictionary import Dictionary, read
 from master.network.link import Link, LinkError
@@ -15,11 +16,7 @@ from master.node_access import lss_master, node_scan
 from master.node_access import remote_node as access
 from parameters import InputError
 
-if TYPE_CHECKING:
-    from bowden.bench.buses import BusSettings
-
 BITRATE = 1_000_000
-
 
 _ADVICE = {
     Abort.NO_OBJECT: "bowden node objects lists the objects of its EDS",
@@ -42,8 +39,6 @@ def advice(error: SdoError) -> str:
 @contextmanager
 def linked(bus: BusSettings, bitrate: int = BITRATE) -> Iterator[Link]:
     """Open a bus and a link on it that sends no heartbeat; raises `InputError` where bus or node fails."""
-    from bowden.bench import buses
-
     with buses.opened_one(bus, bitrate) as opened:
         try:
             yield Link(opened, buses.clock_of(opened), heartbeat_ms=None)
@@ -80,8 +75,6 @@ class Lss(lss_master.LssMaster):
 
     def __init__(self, *, bus: BusSettings | None = None, bitrate: int = BITRATE,
                  answer_ns: int = lss_master.ANSWER_NS) -> None:
-        from bowden.bench import buses
-
         self._opened = ExitStack()
         super().__init__(self._opened.enter_context(linked(bus or buses.simulated(), bitrate)), answer_ns)
 
@@ -102,8 +95,6 @@ class Node(access.NodeAccess):
 
     def __init__(self, node_id: int, *, bus: BusSettings | None = None, eds: str | Path | None = None,
                  bitrate: int = BITRATE) -> None:
-        from bowden.bench import buses
-
         self._opened = ExitStack()
         link = self._opened.enter_context(linked(bus or buses.simulated(), bitrate))
         try:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -161,8 +162,6 @@ LIBRARIES = {  # of python-can's interfaces: (module, what it is called, what in
 
 def missing_library(interface: str) -> tuple[str, str] | None:
     """Return the library that an interface of python-can needs and lacks here, and what installs it; None if none."""
-    from importlib.util import find_spec
-
     module, name = LIBRARIES.get(interface, ("", ""))
     if not name or find_spec(module) is not None:
         return None

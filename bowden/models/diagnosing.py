@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bowden import model_files
+from bowden import model_files, output_files
 from bowden.model_files import BenchModel, Model
 from bowden.trials.recorded_trial import Trial
 from parameters import InputError
@@ -90,8 +91,6 @@ class DiagnosisResult:
 
     def _repr_html_(self) -> str:
         """Return a table for a notebook: verdict, causes with their parameters, ambiguity set, warnings."""
-        from html import escape
-
         rows = "".join(
             f"<tr><td>{escape(cause['effect'].replace('_', ' '))}</td><td>{escape(cause['site'])}</td>"
             f"<td>{escape(name.replace('_', ' '))}</td><td>{one['value']:.4g} {escape(one['unit'])}</td>"
@@ -122,7 +121,6 @@ class DiagnosisResult:
 
     def report(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write one HTML page that needs no network; raises `InputError` where the trials were refused."""
-        from bowden import output_files
         from diagnosis.report import diagnosis_page
 
         if self.verdict == "refused":

@@ -21,6 +21,7 @@ from diagnosis.evidence.experiment_prediction import DECIDES, PlannedExperiment,
 from diagnosis.evidence.hypothesis_search import search
 from diagnosis.evidence.identical_motion import REPEAT, paired
 from diagnosis.evidence.session_change import feature_sd
+from estimation.data import table as data
 from estimation.data.table import Table
 from estimation.likelihood_data import MOTION
 from estimation.path_model import PATH_MODEL, usable_table
@@ -59,8 +60,6 @@ def plan(name: str, walk: WalkPlan = AS_CONFIGURED, calibration: Path | None = N
     experiment itself, simulated, are the reference trials. Raises `InputError`.
     """
     from diagnosis.evidence.planned_limits import plan as planned
-    from estimation.data import table as data
-    from parameters import read_toml
 
     with TemporaryDirectory(prefix="bowden-") as folder:
         recorded = {each: Path(folder) / f"{each}.mcap" for each in dict.fromkeys((GAIT, name))}

@@ -16,7 +16,11 @@ from bowden.progress import SILENT, Progress
 from bowden.trials import force_paths, provenance, recorded, session
 from bowden.trials.recorded_trial import TemporaryFolder, Trial
 from parameters import InputError
+from physics.bench_model import of_calibration
+from physics.calibration import nominal, read, write
+from trial import read as trial
 from trial.read import PATHS
+from trial.record import Recorder, RecordingError
 from trial.signals import of_bench
 
 if TYPE_CHECKING:
@@ -52,8 +56,6 @@ def perform(
     """
     from master.identification import identify
     from master.network.link import Link
-    from physics.calibration import nominal, write
-    from trial.record import Recorder, RecordingError
 
     network = sections["network"]
     if what == "gait" and not (gait and identify.with_gait(what, network)):
@@ -122,7 +124,6 @@ def again(
     """
     from master.identification import identify
     from physics import inverse
-    from trial import read as trial
 
     given = [trial.open(path) for path in trials]
     benches = {each.metadata.get("bench", "") for each in given} - {""}
@@ -139,8 +140,6 @@ def again(
 
 
 def _calibration(given: Path | Calibration | None) -> Calibration | None:
-    from physics.calibration import read
-
     return read(given) if isinstance(given, Path) else given
 
 
@@ -176,8 +175,6 @@ def identify(
 
 
 def _model(found: IdentificationResult) -> BenchModel:
-    from physics.bench_model import of_calibration
-
     if found.calibration is None:
         raise StoppedError(found.reason or "the identification found nothing")
     return of_calibration(found.calibration)

@@ -19,6 +19,7 @@ from bowden.bench import buses
 from bowden.model_files import Model
 from bowden.progress import SILENT, Progress
 from bowden.trials.recorded_trial import Trial
+from trial.signals import SIGNALS
 
 if TYPE_CHECKING:
     from bowden.replay.onto_plant import SignalResidual
@@ -63,7 +64,6 @@ def _under_motion(known: BenchModel, path: Path) -> Simulation:
     from bowden.replay.onto_plant import figure
     from estimation import bench_fit, simulation
     from estimation.data import table
-    from trial.signals import SIGNALS
 
     given = table.read(path)
     told = simulation.simulate(bench_fit.as_fitted(given, known), known.simulation_values())

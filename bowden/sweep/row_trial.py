@@ -21,6 +21,7 @@ from bowden.models import identification
 from bowden.sweep.rows import IDENTIFIED, NOMINAL, Row, motion, plant_model, reference, table
 from bowden.trials import provenance, session
 from parameters import InputError
+from physics.calibration import write
 
 if TYPE_CHECKING:
     from physics.calibration import Calibration
@@ -57,8 +58,6 @@ def identify(bench: Row, what: str = "all", guess: Calibration | None = None) ->
 
     `guess`: starting point of a procedure that does not identify all.
     """
-    from physics.calibration import write
-
     sections = {name: table(bench, name) for name in ("network", "limits", "homing")}
     with tempfile.TemporaryDirectory() as folder:
         try:

@@ -15,11 +15,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from bowden import output_files
+from bowden.bench import configuration
 from bowden.bench.buses import BusSettings, opened
 from bowden.bench.configuration import override
 from bowden.progress import SILENT, Progress
 from bowden.trials import force_paths
 from parameters import InputError, read_toml
+from trial import read
+from trial.record import Recorder, RecordingError
 from trial.signals import Signal, of_bench
 
 if TYPE_CHECKING:
@@ -188,7 +191,6 @@ def prepare(
     compensates, too: files, or their content. `knee` is the file of the strides that a walk plays. A bench with a limb
     is refused without a file of recent set-up checks.
     """
-    from bowden.bench import configuration
     from bowden.trials import provenance, setup_checks
     from eds.bench import bus_load
     from eds.bench.bench_network import wire
@@ -296,7 +298,6 @@ def perform(
     from bowden.trials import provenance
     from master.cycle.safety import Condition
     from master.network.link import Link
-    from trial.record import Recorder
 
     network, simulated = prepared.experiment.network, prepared.chosen.simulated
     truth = output.with_name(f"{output.stem}.truth.mcap") if simulated else None
@@ -364,8 +365,6 @@ def set_aside(output: Path, truth: Path | None) -> tuple[Path, Path | None]:
 
 def never_ran(output: Path) -> bool:
     """Return whether a run ended before its first control cycle: its file would only make the next one fail."""
-    from trial import read
-
     try:
         return not read.open_file(output).extent.rows
     except InputError:
@@ -374,8 +373,6 @@ def never_ran(output: Path) -> bool:
 
 def closed(recorder: Recorder, result: Result) -> Result:
     """Close the recording; if its end found no room, the result has that reason instead of "completed"."""
-    from trial.record import RecordingError
-
     try:
         recorder.close(dataclasses.asdict(result))
     except RecordingError as error:

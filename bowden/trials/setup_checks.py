@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from bowden.bench.buses import BusSettings, opened
 from bowden.trials import session
+from bowden.trials.force_paths import file_of
 from parameters import InputError
 from parameters.files import write_whole
 
@@ -28,7 +29,6 @@ def refuse_unchecked(
     sections: Mapping[str, Any], calibration: Path | None, now: datetime.datetime | None = None
 ) -> None:
     """Raise `InputError` for a bench with a limb declared whose calibration has no recent check of each sensor."""
-    from bowden.trials.force_paths import file_of
     from physics import setup_check
 
     if "record" not in sections or not (limb := sections["record"].limb):  # a sweep's rows declare no limb

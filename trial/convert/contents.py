@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from mcap.exceptions import McapError
 from numpy.typing import NDArray
 
 from eds.bench.bench_network import NAMES, Network, wire
 from parameters import InputError
 from parameters.files import refuse_special
+from trial import read
 from trial.convert import imports
-from trial.convert.csv_table import guesses, offer
+from trial.convert.csv_table import SignalSource, guesses, offer
 from trial.convert.frames import LoggedFrames
 from trial.convert.lab_table import LabTable
 from trial.mcap_file import cdr
@@ -137,7 +139,6 @@ def _together(parts: Sequence[ColumnSummary]) -> ColumnSummary:
 
 
 def _mcap(path: Path) -> Contents:
-    from mcap.exceptions import McapError
     from mcap.reader import SeekingReader
 
     try:
@@ -184,8 +185,6 @@ def _steps(file: Any, summary: Any) -> dict[int, StepHistogram]:
 
 
 def _columns_of_trial(path: Path, found: Contents) -> None:
-    from trial import read
-
     if not any(stream.name == cdr.CYCLE for stream in found.streams):
         return
     try:
@@ -253,8 +252,6 @@ def _clock(sheet: LabTable, found: Contents) -> None:
     guess = next((one for one in guesses(sheet) if one.signal == "time_s"), None)
     if guess is None:
         return
-    from trial.convert.csv_table import SignalSource
-
     values = sheet.column(guess.column) * SignalSource(guess.column, guess.unit).factor("time_s", str(sheet.path))
     known = values[np.isfinite(values)]
     times = np.rint((known - known[0]) * 1e9).astype(np.int64)

@@ -5,6 +5,8 @@ docs/trials.md lists repairs and refusals. A topic of an MCAP file is read by it
 or a stamp and float64 columns; every other topic is left out and named.
 """
 
+import gzip
+import io
 import os
 import struct
 import zlib
@@ -150,8 +152,6 @@ def raw_content(source: Path) -> LoggedFrames | LabTable:
 
 def first_lines(source: Path, count: int = 20) -> list[str]:
     """Return the first lines of a text, few and short; none of a file that is not there."""
-    import gzip
-
     refuse_special(source)
     try:
         with (gzip.open if source.suffix.lower() == ".gz" else open)(source, "rb") as file:
@@ -207,9 +207,6 @@ def _from_candump(source: Path, report: ImportReport, asked: ImportRequest) -> T
 
 
 def _candump_frames(source: Path, progress: Progress) -> LoggedFrames:
-    import gzip
-    import io
-
     try:
         with source.open("rb") as raw:
             unpacked = gzip.GzipFile(fileobj=raw) if source.suffix == ".gz" else raw
