@@ -10,8 +10,7 @@ import typer.main
 
 from bowden.bench.configuration import as_template
 from bowden.cli import options
-from bowden.cli.app import app, load
-from bowden.cli.command import PANELS
+from bowden.cli.app import PANELS, app, load
 
 Run = Callable[..., tuple[int, str, str]]
 

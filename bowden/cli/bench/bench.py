@@ -10,8 +10,7 @@ import typer
 
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, SimulatedOptions
-from bowden.cli.options import option
+from bowden.cli.options import Bus, SimulatedOptions, option
 from bowden.cli.terminal import CommandAnswer
 
 Faults = Annotated[Path | None, option(

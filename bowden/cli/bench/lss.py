@@ -6,11 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
-from bowden.cli.app import app
+from bowden.cli.app import CommandGroup, app
 from bowden.cli.bench.node import Force, refuse_other_master
-from bowden.cli.command import CommandGroup
-from bowden.cli.option_groups import Bus
-from bowden.cli.options import argument, option
+from bowden.cli.options import Bus, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 

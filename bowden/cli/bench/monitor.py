@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus
-from bowden.cli.options import argument, option
+from bowden.cli.options import Bus, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 

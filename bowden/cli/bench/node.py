@@ -12,10 +12,8 @@ import typer
 
 from bowden import output_files
 from bowden.cli import options
-from bowden.cli.app import app
-from bowden.cli.command import CommandGroup, NothingGivenError
-from bowden.cli.option_groups import Bus
-from bowden.cli.options import argument, option
+from bowden.cli.app import CommandGroup, NothingGivenError, app
+from bowden.cli.options import Bus, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.bench.node import Eds, Force, Name, node, node_id_of, refuse_other_master
-from bowden.cli.option_groups import Bus
-from bowden.cli.options import argument, option
+from bowden.cli.options import Bus, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 

@@ -13,10 +13,8 @@ import typer
 
 from bowden import output_files
 from bowden.cli import ending, options, terminal
-from bowden.cli.app import app
-from bowden.cli.command import CommandGroup
-from bowden.cli.option_groups import Bus, SimulatedOptions
-from bowden.cli.options import argument, option
+from bowden.cli.app import CommandGroup, app
+from bowden.cli.options import Bus, SimulatedOptions, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError, declarations
 from parameters.files import write_whole

@@ -15,10 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from bowden import output_files
 from bowden.cli import ending, options, terminal
-from bowden.cli.app import app
-from bowden.cli.command import NothingGivenError
-from bowden.cli.option_groups import Bus, watched_bench
-from bowden.cli.options import argument, option
+from bowden.cli.app import NothingGivenError, app
+from bowden.cli.options import Bus, argument, option, watched_bench
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 

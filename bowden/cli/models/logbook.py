@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from bowden import output_files
 from bowden.cli import options, terminal
-from bowden.cli.app import app
-from bowden.cli.command import CommandGroup
+from bowden.cli.app import CommandGroup, app
 from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from bowden import output_files
 from bowden.cli import ending, options, terminal
-from bowden.cli.app import app
-from bowden.cli.command import NothingGivenError
-from bowden.cli.option_groups import BusAlone, SimulatedOptions
-from bowden.cli.options import argument, option
+from bowden.cli.app import NothingGivenError, app
+from bowden.cli.options import BusAlone, SimulatedOptions, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole

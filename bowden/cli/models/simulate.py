@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, SimulatedOptions, WalkOptions
-from bowden.cli.options import argument, option
+from bowden.cli.options import Bus, SimulatedOptions, WalkOptions, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters.files import write_whole
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from bowden import output_files
 from bowden.cli import options, terminal
-from bowden.cli.app import app
-from bowden.cli.command import NothingGivenError
+from bowden.cli.app import NothingGivenError, app
 from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError

@@ -12,8 +12,7 @@ import typer
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import BusAlone, SimulatedOptions
-from bowden.cli.options import option
+from bowden.cli.options import BusAlone, SimulatedOptions, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 

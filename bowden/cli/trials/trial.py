@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, spelled
-from bowden.cli.options import option
+from bowden.cli.options import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, option, spelled
 from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
