@@ -24,6 +24,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 from scipy.integrate import solve_ivp
 
+import bowden
 import nodes
 import trial
 from benchmarks import cycle
@@ -38,13 +39,10 @@ from eds.dictionary import packaged
 from eds.pdo_plan import JoinedUnpacker
 from estimation.data import table
 from master.cycle.log import Log
-from master.motion.experiment_run import ExperimentSetup, run
 from master.network.bringup import bring_up
-from master.network.link import WANTED, Link
-from master.settings import Gait
+from master.network.link import Link
 from physics.plant.bench_plant import create
 from physics.plant.leg import KNEE_AT_FIT
-from physics.reference import paper_reference
 from tests.hidden import cases
 from tests.physics.test_physics_plant_accuracy import KNEE_NM, SECONDS, SERVO_NM, Equations
 from trial.mcap_file import cdr
@@ -251,8 +249,7 @@ def wire_load() -> Iterator[Row]:
     """Measure the share of the wire that a control cycle occupies, beside its bound."""
     bound = bus_load.refuse(wire(Network()))
     with tempfile.TemporaryDirectory() as folder:
-        simulate(5, Path(folder))
-        opened = trial.open(Path(folder) / "trial.mcap")
+        opened = simulated(5, Path(folder) / "trial.mcap")
         first, last = opened.time_ns[0], opened.time_ns[-1]
         inside = opened.frames[(opened.frames["time_ns"] > first) & (opened.frames["time_ns"] <= last)]
         bits = bits_of(inside["can_id"], inside["dlc"], inside["data"], inside["flags"] & 1, inside["flags"] & 2)
@@ -365,8 +362,7 @@ def size() -> Iterator[Row]:
     """Size of a trial, every frame and 45 columns, beside its frames alone in BLF."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        simulate(10, folder)
-        opened = trial.open(folder / "trial.mcap")
+        opened = simulated(10, folder / "trial.mcap")
         with can.BLFWriter(folder / "frames.blf") as blf:
             for frame in opened.frames:
                 blf.on_message_received(can.Message(
@@ -391,15 +387,7 @@ def _columns_mb(opened: trial.read.Trial, path: Path) -> tuple[float, str]:
     return path.stat().st_size / 1e6, "in MF4, compressed"
 
 
-def simulate(seconds: int, folder: Path | None = None) -> None:
-    """Run a trial about that long into `folder`."""
-    with tempfile.TemporaryDirectory() as name:
-        experiment = ExperimentSetup(
-            paper_reference(40.0, 2.0), Network(), gait=Gait(cycles=max(1, (seconds - 4) // 2), settle=0))
-        bus, tap = BowdenBus("simulate"), BowdenBus("simulate")
-        bus.set_filters(WANTED)
-        recorder = trial.Recorder((folder or Path(name)) / "trial.mcap", metadata={}, attachments={}, threaded=False)
-        run(Link(bus, bus.time_ns), tap, recorder, experiment)
-        recorder.close({})
-        tap.shutdown()
-        bus.shutdown()
+def simulated(seconds: int, path: Path) -> trial.read.Trial:
+    """Run a trial about that long into a file and return it."""
+    asked = bowden.Experiment(cycles=max(1, (seconds - 4) // 2), settle=0)
+    return bowden.run(asked, output=path).recorded

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 from typing import Any, Final
@@ -166,9 +166,6 @@ def _trials(book: Logbook) -> str:
 def _figure(figures: Mapping[str, Any]) -> str:
     value = figures.get("relative_rmse_percent")
     return "–" if not isinstance(value, float) else f"{value:.2f}"
-
-
-__all__: Sequence[str] = ("page", "write")
 
 
 TABLES: Final = {"trials": "trial", "sessions": "session", "verdicts": "verdict", "notes": "note", "models": "model"}

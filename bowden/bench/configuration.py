@@ -20,6 +20,9 @@ from typing import TYPE_CHECKING, Any
 
 from parameters import InputError, checked, declarations, from_table, read_toml, template
 
+if TYPE_CHECKING:
+    from master.limit_holders import HeldLimit
+
 SECTIONS: dict[str, tuple[str, str]] = {
     "network": ("eds.bench.bench_network", "Network"),
     "gait": ("master.settings", "Gait"),
@@ -232,9 +235,6 @@ def as_template(told: Mapping[str, str] | None = None, shape: str = "bench") -> 
         text = text.replace(f'\n{field} = ""', f"\n{field} = {_quoted(said)}")
     return text
 
-
-if TYPE_CHECKING:
-    from master.limit_holders import HeldLimit
 
 SAFETY_TABLE = "safety_functions.csv"
 """Name of the table in a trial's file."""

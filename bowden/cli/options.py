@@ -19,6 +19,11 @@ from bowden.cli.terminal import CommandAnswer, answered
 from parameters import InputError
 from physics.effects.separating_experiments import SCRIPTED
 
+if TYPE_CHECKING:
+    from bowden.bench.buses import BusSettings
+    from bowden.watch.file_watch import WatchedBench
+    from master.network.link import Link
+
 
 def option(help: str, *names: str, **more: Any) -> Any:
     """Declare an option; `names` if they are not those of the parameter."""
@@ -145,12 +150,6 @@ HomingForce = Annotated[float | None, option(
 Extra = Annotated[list[str] | None, option("Interface option; repeatable.", "--option", metavar="K=V")]
 ForcePath = Annotated[str | None, option(
     "Force path of a bench of several, or joint of an arm.", "--path", metavar="NAME", autocompletion=declared_paths)]
-
-
-if TYPE_CHECKING:
-    from bowden.bench.buses import BusSettings
-    from bowden.watch.file_watch import WatchedBench
-    from master.network.link import Link
 
 
 class WalkOptions(NamedTuple):

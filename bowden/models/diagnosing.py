@@ -18,7 +18,9 @@ from parameters import InputError
 
 if TYPE_CHECKING:
     from diagnosis.findings import Findings
+    from diagnosis.laws.law_result import Laws
     from estimation.data.table import Table
+
 
 Given = Trial | str | Path
 """A trial: in memory, or its file (MCAP, or CSV with the canonical headers)."""
@@ -155,10 +157,6 @@ def table_of(given: Given, path: str | None) -> Table:
     from estimation.data import table, windows
 
     return windows.bounded(table.read(given.path if isinstance(given, Trial) else given, path))
-
-
-if TYPE_CHECKING:
-    from diagnosis.laws.law_result import Laws
 
 
 def discover(trials: Given | Iterable[Given], healthy: Given | Iterable[Given], *, lowpass_hz: float | None = None,

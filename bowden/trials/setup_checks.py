@@ -18,8 +18,11 @@ from parameters import InputError
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
-    from eds.declaration import DeclaredBench
+    from eds.declaration import DeclaredBench, ForcePath
+    from master.cycle.run_safely import Outcome
+    from master.motion.commission import Procedure
     from physics.setup_check import SetupCheck
+
 
 CELLS, JOINT = ("start", "end"), "knee"
 """Sensors of a force path, by the names of the packaged declaration."""
@@ -67,12 +70,6 @@ def enter(calibration: Path, new: Sequence[SetupCheck]) -> None:
     kept = setup_check.merged(setup_check.read(calibration), new)
     text = setup_check.without_rows(calibration.read_text(encoding="utf-8"))
     write_whole(calibration, text + setup_check.rows(kept), overwrite=True)
-
-
-if TYPE_CHECKING:
-    from eds.declaration import DeclaredBench, ForcePath
-    from master.cycle.run_safely import Outcome
-    from master.motion.commission import Procedure
 
 
 def perform(

@@ -397,9 +397,6 @@ def _parsed(cells: Sequence[str], comma: bool) -> tuple[Floats, tuple[int, str] 
     return values, fault
 
 
-__all__ = ["Dialect", "decoded", "read", "reserved"]
-
-
 _ISO = re.compile(
     r"\s*(\d{4})[-/](\d{1,2})[-/](\d{1,2})[T ]+(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?\s*"
     r"(Z|[+-]\d{2}:?\d{2})?\s*$", re.IGNORECASE)

@@ -141,9 +141,6 @@ def _refuse_other_unit(sheet: LabTable, name: str, source: SignalSource) -> None
                          f"say which with --map: [{name}], column = \"{name}\" and unit.")
 
 
-__all__ = ["TO_SI", "Columns", "Map", "SignalSource", "columns_of", "offer", "read", "read_map", "unit_of"]
-
-
 def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 

@@ -19,7 +19,9 @@ from parameters import InputError
 
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
+    from bowden.trials.recording import BusRecording
     from eds.dictionary import Dictionary
+
 
 KINDS: Final = ("nmt", "sync", "time", "emcy", "pdo", "sdo", "heartbeat", "lss", "other")
 Source = Annotated[Path | None, argument("[FILE]", "Trial, log (.log, .asc, .blf), - for candump.")]
@@ -215,9 +217,6 @@ def _nodes(nodes: str | None) -> frozenset[int]:
     except ValueError:
         raise InputError(f"--node {nodes}: expected node ids; write for instance 1,5.") from None
 
-
-if TYPE_CHECKING:
-    from bowden.trials.recording import BusRecording
 
 Frames = Annotated[int | None, option("End after so many frames.", metavar="N", min=1)]
 MaxSize = Annotated[float | None, option("A new file after so many MB.", metavar="MB", min=0.01)]

@@ -22,6 +22,9 @@ from parameters import InputError
 
 if TYPE_CHECKING:
     from bowden.live.web import LivePage
+    from bowden.watch.file_watch import FileWatch, WatchedBench
+    from estimation.running_evidence import WatchVerdict
+
 
 FRAME_S = 1 / 60  # between two looks at the clock
 PlayedTrial = Annotated[Path | None, argument("TRIAL", "A recorded trial.")]
@@ -100,10 +103,6 @@ def _follow_bus(reached: Bus, web: str, over: Callable[[], bool]) -> int:
             return 1
     return 0
 
-
-if TYPE_CHECKING:
-    from bowden.watch.file_watch import FileWatch, WatchedBench
-    from estimation.running_evidence import WatchVerdict
 
 Written = Annotated[Path | None, argument("TRIAL", "Trial that is being written, by bowden trial or bowden record.")]
 Recording = Annotated[Path | None, option(

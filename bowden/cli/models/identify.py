@@ -18,7 +18,10 @@ from parameters import InputError, declarations
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
+    from bowden.models.identification import IdentificationResult
     from estimation.bench_fit import FittedBench
+    from physics.calibration import Calibration
+
 
 HealthyTrials = Annotated[list[Path], argument(
     "TRIAL…", "Healthy trials of one bench: MCAP, or CSV (.gz) with canonical headers.")]
@@ -88,9 +91,6 @@ def _tell_bench(found: FittedBench) -> None:
         (name, terminal.number(row["rms_n"]), terminal.number(row["peak_n"], 1))
         for name, row in found.figures.items()])
 
-
-if TYPE_CHECKING:
-    from bowden.models.identification import IdentificationResult
 
 What = Annotated[str, typer.Argument(
     metavar="WHAT", help="stiffness, swing, friction, sensors, gait (on a calibration) or all.")]
@@ -192,10 +192,6 @@ def _tell_identified(found: IdentificationResult, output: Path, source: str) -> 
     if found.reason is not None:
         print(f"Stopped in a gait trial: {found.reason}; the discrepancy is of the trials before it.")
     show_scalars(f"{output}, measured in {source}", found.calibration)
-
-
-if TYPE_CHECKING:
-    from physics.calibration import Calibration
 
 
 def scalars_json(found: Calibration | None) -> dict[str, Any]:

@@ -15,7 +15,10 @@ from parameters import InputError
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
+    from bowden.mending.supervisor import MendedBench
+    from bowden.models.diagnosing import DiscoveryResult
     from bowden.models.experiment_plan import ExperimentPlan
+
 
 Trials = Annotated[list[Path] | None, argument(
     "TRIAL…", "Trials of one session: a gait, and experiments that were run.")]
@@ -85,9 +88,6 @@ def _tell_plan(found: ExperimentPlan, good: str) -> None:
     print(f"Run: bowden trial --experiment {proposed.name} -o {proposed.name}.mcap, then diagnose it beside the trial.")
 
 
-if TYPE_CHECKING:
-    from bowden.models.diagnosing import DiscoveryResult
-
 DiscoveredTrials = Annotated[list[Path] | None, argument("TRIAL…", "Trials of one session, MCAP or CSV.")]
 TermsFile = Annotated[Path | None, option(
     "extended.toml with the terms, for --plant-model and --controller-model.", "-o", "--output", metavar="FILE")]
@@ -154,9 +154,6 @@ def _tell_law(found: DiscoveryResult, written: list[Path]) -> None:
     for path in written:
         print(f"Wrote {path}.")
 
-
-if TYPE_CHECKING:
-    from bowden.mending.supervisor import MendedBench
 
 ReferenceTrials = Annotated[list[Path] | None, option(
     "Trial of the bench in the reference condition, of bowden trial; repeatable.", metavar="TRIAL")]
