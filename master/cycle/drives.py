@@ -11,7 +11,7 @@ import struct
 from eds.cia402 import Control, HomingMethod, Mode, State, Status, next_controlword, state_of
 from eds.dictionary import key
 from master.cycle.exchange import Exchange
-from master.cycle.inputs import Inputs
+from master.cycle.inputs import KNEE, SERVO, Inputs
 from master.cycle.shared_exchange import Answer, Running, Work, together
 from master.network.acknowledge import RELEASE
 from master.network.bringup import BringUpError
@@ -31,14 +31,17 @@ def enable(exchange: Running) -> None:
         path.plausibility.restart()
     # only now: until the last path is enabled, a drive that is off is no fault
     for path in exchange.paths:
-        path.guard.enabled = True
+        path.guard.enabled = (SERVO, KNEE)
 
 
 def enable_alone(exchange: Exchange, node_id: int) -> Inputs:
-    """Bring one drive to OPERATION ENABLED, the other one to SWITCH ON DISABLED; whoever moves it watches it."""
-    exchange.guard.enabled = False
+    """Bring one drive to OPERATION ENABLED, the other one to SWITCH ON DISABLED."""
+    exchange.guard.enabled = ()
     goals = [State.OPERATION_ENABLED if node == node_id else State.SWITCH_ON_DISABLED for node in exchange.path[:2]]
-    return _drive_to(exchange, (goals[0], goals[1]))
+    _drive_to(exchange, (goals[0], goals[1]))
+    exchange.plausibility.restart()
+    exchange.guard.enabled = (exchange.path.index(node_id),)
+    return exchange.inputs
 
 
 def disable(exchange: Running, patience_ns: int = PATIENCE_NS) -> None:
@@ -47,7 +50,7 @@ def disable(exchange: Running, patience_ns: int = PATIENCE_NS) -> None:
     Raises `BringUpError` where a drive does not follow, after all others have had their patience.
     """
     for guard in exchange.guards:
-        guard.enabled = False
+        guard.enabled = ()
     off = (State.SWITCH_ON_DISABLED, State.SWITCH_ON_DISABLED)
     reached = together(exchange, [_driving(path, off, patience_ns) for path in exchange.paths])
     for path, there in zip(exchange.paths, reached, strict=True):
@@ -55,11 +58,10 @@ def disable(exchange: Running, patience_ns: int = PATIENCE_NS) -> None:
             raise BringUpError(_not_there(path, path.inputs, off))
 
 
-def _drive_to(exchange: Exchange, goals: tuple[State, State]) -> Inputs:
+def _drive_to(exchange: Exchange, goals: tuple[State, State]) -> None:
     """Take the drives of one path to their goals; raises `BringUpError` where one does not follow."""
     if not together(exchange, [_driving(exchange, goals, PATIENCE_NS)])[0]:
         raise BringUpError(_not_there(exchange, exchange.inputs, goals))
-    return exchange.inputs
 
 
 def _driving(exchange: Exchange, goals: tuple[State, State], patience_ns: int) -> Work[bool]:

@@ -19,7 +19,7 @@ from master.cycle import repetition
 from master.cycle.blame import blamed
 from master.cycle.inputs import END, KNEE, SERVO, START, CycleAnnotations, Inputs, places
 from master.cycle.log import Log
-from master.cycle.plausibility import Plausibility
+from master.cycle.plausibility import AXES, Plausibility
 from master.cycle.reception import ENOUGH, Reception
 from master.cycle.repetition import Repetition
 from master.cycle.safety import Condition, StopError
@@ -29,7 +29,6 @@ from master.settings import Limits
 T = TypeVar("T")
 
 _ENABLED_MASK, _ENABLED = State.OPERATION_ENABLED.value
-_REPORTED = int(Status.FOLLOWING_ERROR | Status.INTERNAL_LIMIT)
 WATCH_NS = 10_000_000
 """Period at which signals and heartbeats are looked at, ns: short against a heartbeat's timeout, 250 ms."""
 LIMITED_NS = 300_000_000
@@ -46,7 +45,7 @@ REMEMBERED = 3
 
 
 class Guard:
-    """The checks of a running cycle; `enabled`: every drive must stay in OPERATION ENABLED.
+    """The checks of a running cycle; `enabled`: places of the drives that must stay in OPERATION ENABLED.
 
     `active` False disables all checks: during bring-up, and once a stop is under way. `beginning`: the exchange is
     not established yet, drives off, and EMCYs about missed cycles are logged and waited through. `interrupted` gives
@@ -61,7 +60,8 @@ class Guard:
     ) -> None:
         self.limits = limits
         self.active = True
-        self.beginning = self.enabled = self.joint_held = False
+        self.beginning = self.joint_held = False
+        self.enabled: tuple[int, ...] = ()
         self.plausibility: Plausibility | None = None
         self.repetition: Repetition | None = None
         self._link, self._wire, self._log = link, wire, log
@@ -72,7 +72,6 @@ class Guard:
         self._limited_ns = [0, 0]
         self._order = places(wire)
         self._path = wire.path
-        self._knee_driven = self._path.knee in wire.drives
         self._missed = [(0, 0)] * len(self._order)
         # order in which lost nodes are named: without servo or START the rope would be pulled blindly
         self._by_weight = tuple(node for place in (SERVO, START, KNEE, END) if (node := self._path[place]))
@@ -104,9 +103,7 @@ class Guard:
             self._refuse_stale(late_in_row)
         # drives that are off follow no target, and a person may move the leg: there is nothing to compare
         if self.enabled:
-            if (inputs.servo_status & _ENABLED_MASK != _ENABLED
-                    or (self._knee_driven and inputs.knee_status & _ENABLED_MASK != _ENABLED)):
-                self._refuse_disabled(inputs)
+            self._refuse_disabled(inputs)
             self._supervise(inputs, targets, rehoming)
         if inputs.sync_ns >= self._watch_ns:
             self._watch(inputs.sync_ns)
@@ -123,12 +120,13 @@ class Guard:
                 raise repetition.stop(found)
 
     def _supervise(self, inputs: Inputs, targets: tuple[float, float], rehoming: bool) -> None:
-        """Check the knee's limits, the drives' status and the plausibility of every signal."""
-        words = inputs.servo_status | inputs.knee_status
-        if words & _REPORTED or any(self._limited_ns):
-            self._refuse_reported(inputs, rehoming)
+        """Check the knee's limits, the drives' status and the plausibility of every signal, or of one axis alone."""
         limits, knee = self.limits, inputs.knee_angle_rad
-        if not limits.knee_low_rad <= knee <= limits.knee_high_rad:
+        # one axis that a person moves may stand beyond its limits, or be held by the rope: the jog itself says so
+        alone = AXES[self.enabled[0]] if len(self.enabled) == 1 else ()
+        if not alone:
+            self._refuse_reported(inputs, rehoming)
+        if not alone and not limits.knee_low_rad <= knee <= limits.knee_high_rad:
             raise StopError(Condition.OUT_OF_LIMITS, f"knee at {57.2958 * knee:.1f}°, allowed are "
                             f"{57.2958 * limits.knee_low_rad:.0f}° … {57.2958 * limits.knee_high_rad:.0f}°",
                             self._path.knee)
@@ -141,7 +139,7 @@ class Guard:
             return
         limited = YIELDED_M if self._limited_ns[0] else 0.0
         finding = plausibility.check(limited, targets, inputs.servo_position_m, inputs.servo_force_n, knee,
-                                     inputs.start_n, inputs.end_n)
+                                     inputs.start_n, inputs.end_n, alone)
         if finding is not None:
             raise blamed(finding, self._path)
 
@@ -189,7 +187,8 @@ class Guard:
                 raise StopError(Condition.STALE, f"{self._name(node)} missed {late} cycles in a row", node)
 
     def _refuse_disabled(self, inputs: Inputs) -> None:
-        for node, word in zip(self._path, (inputs.servo_status, inputs.knee_status), strict=False):
+        for place in self.enabled:
+            node, word = self._path[place], inputs.knee_status if place == KNEE else inputs.servo_status
             if word & _ENABLED_MASK != _ENABLED and node in self._wire.drives:
                 raise StopError(Condition.NOT_ENABLED, f"{self._name(node)}, statusword 0x{word:04X}", node)
 

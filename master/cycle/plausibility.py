@@ -20,6 +20,7 @@ pull and release then give this bench's inertia, drive friction, stretch and fri
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -30,6 +31,8 @@ SERVO_TRACK, KNEE_TRACK, RATIO, FORCE, BY_START, BY_END, STILL_START, STILL_END,
     RELATIONS = range(11)
 """Compared relations, in the order of their array slots; `RELATIONS` is their number."""
 
+AXES: Final = ((SERVO_TRACK, STILL_SERVO), (KNEE_TRACK, STILL_KNEE))
+"""Relations of servo and of knee that hold while the other drive is off."""
 WINDOW: Final = 64
 """Greatest number of cycles in the window of `force`."""
 FORCE_TERMS, STRETCH_TERMS = 4, 3
@@ -382,10 +385,12 @@ class Plausibility:
 
     def check(
         self, limited: float, targets: tuple[float, float], position: float, force: float, knee: float, start: float,
-        end: float,
+        end: float, relations: Sequence[int] = (),
     ) -> Implausibility | None:
-        """Compare one cycle; return the finding once a relation has been violated for `PERSIST` cycles, else None."""
+        """Compare one cycle; return the finding of a relation (of those given, if any) after `PERSIST` cycles."""
         relation = step(self.s, self.g, limited, targets[0], position, force, targets[1], knee, start, end)
+        if relations:
+            relation = next((one for one in relations if self.s[COUNTS + one] >= PERSIST), -1)
         return None if relation < 0 else self.finding(relation)
 
     def coast(self, targets: tuple[float, float]) -> None:

@@ -22,8 +22,7 @@ _START_BIT = 1 << START
 _SERVO_BIT = 1 << SERVO
 _END_BIT = 1 << END
 DISABLE_NS, SLACK_NS = 120_000_000, 100_000_000
-"""Longest wait for drives to be disabled, and before it for a slack rope and a leg at rest, ns: together less than the
-250 ms after which no drive may give torque."""
+"""Longest waits for disabled drives, and before for a slack rope and a leg at rest, ns: the sum is below 250 ms."""
 GRACE_NS = 50_000_000
 """Time after which `let_go` repeats its controlwords, ns: on a bus that fails the first ones may be lost."""
 SLACK_N = 5.0
