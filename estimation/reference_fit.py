@@ -230,7 +230,8 @@ def fit_reference(model: ForwardModel, trials: Sequence[Recording], session_sd: 
 def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian, starts: int = 4) -> PosteriorMode:
     """Return the best of the modes of one trial from several starts, without a discrepancy; `prior`: of constants.
 
-    A first descent with `HUBER` times the noise, in which few residuals are outliers, avoids local minima.
+    A first descent with `HUBER` times the noise, in which few residuals are outliers, avoids local minima.  Half of the
+    starts, those with the smallest cost after it, are then descended with the noise itself.
     """
     free, none = list(model.constants.free), np.zeros((trial.data.size, 0))
     weight = np.repeat([model.first_noise[n] ** -2 for n in trial.outputs], trial.bins)
@@ -238,7 +239,9 @@ def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian, starts: i
     rough, fine = (SessionData(model, (trial,), none, w, even, 1.0, np.ones(w.size))
                    for w in (weight / HUBER**2, weight))
     begin = [(at - prior.origin)[free] for at in model.scanned(model.origin(trial), trial)[:starts]]
-    return min((mode(fine, prior, start=mode(rough, prior, start=start).x) for start in begin), key=lambda m: m.cost)
+    near = [mode(rough, prior, start=start).x for start in begin]
+    near.sort(key=lambda x: mode(fine, prior, start=x, descends=False).cost)
+    return min((mode(fine, prior, start=x) for x in near[:(starts + 1) // 2]), key=lambda m: m.cost)
 
 
 class _Linear(NamedTuple):
@@ -291,7 +294,7 @@ class _Fit:
             self._descend()
             self._noise()
             self._amplitudes()
-            if self.model.pools_sessions and len(self.trials) > 1:
+            if len(self.trials) > 1:
                 self._scatter()
         if len(self.trials) > 1 and not self.model.pools_sessions:
             self._restart(wide)
@@ -355,23 +358,39 @@ class _Fit:
         return sd
 
     def _scatter(self) -> None:
-        """Estimate 1σ between sessions from the reference trials, by one step of expectation maximisation.
+        """Estimate 1σ between sessions of the model's `scattered` constants, from the reference trials.
 
-        All of the model's values are scaled by the differences of the repeats; the prior of each σ² is inverse-gamma
-        about its scaled value, with the weight of `PRIOR_SESSIONS` sessions.
+        Their values are scaled by a common factor, then each by one step of expectation maximisation; the prior of
+        each σ² is inverse-gamma about its scaled value, with the weight of `PRIOR_SESSIONS` sessions.
         """
-        free, count = len(self.free), len(self.trials)
-        prior = self._stated(self.model.session_at(self.origin))[self.free] ** 2
-        deviation, left = np.sqrt(self._session()), np.zeros(free)
+        count, names = len(self.trials), self.constants.names
+        rows = [k for k, i in enumerate(self.free) if names[i] in self.model.scattered]
+        at = [self.free[k] for k in rows]
+        prior = self._stated(self.model.session_at(self.origin))[at] ** 2
+        self.session_sd[at] = np.sqrt(prior * self._common_factor(at, prior))
+        deviation, left = np.sqrt(self._session()), np.zeros(len(rows))
         for linear in self.linear:
             design = linear.design * deviation
             inner = np.linalg.inv(np.eye(deviation.size) + (design.T * linear.weight) @ design)
-            left += np.diag(inner)[:free] * (1.0 - 1.0 / count)
-        # about their mean, since a narrow prior may hold the bench away from it
-        moved = np.var([x[:free] for x in self.at], axis=0) * count
-        scale = scale_of(float((count - 1.0 - left).sum()), float((moved / prior).sum()))
-        self.session_sd[self.free] = np.sqrt((PRIOR_SESSIONS * scale * prior + moved + left * deviation[:free] ** 2) / (
-            PRIOR_SESSIONS + count - 1.0))
+            left += np.diag(inner)[rows] * (1.0 - 1.0 / count)
+        # E step: squared departure from the sessions' mean, since a narrow prior may hold the bench away from it, and
+        # the variance that the data leave of each; M step under the inverse-gamma prior
+        moved = np.var([x[rows] for x in self.at], axis=0) * count
+        known = self.session_sd[at] ** 2
+        self.session_sd[at] = np.sqrt((PRIOR_SESSIONS * known + moved + left * known) / (PRIOR_SESSIONS + count - 1.0))
+
+    def _common_factor(self, at: Sequence[int], prior: Array) -> float:
+        """Return the posterior mean of a common factor κ² on the variances `prior` of the constants `at`.
+
+        ln κ has the prior N(0, 1): the sessions of one bench differ by a third of another's, or by three times as much.
+        """
+        # p(κ | y) ∝ p(y | κ)·N(ln κ; 0, 1), summed over ln κ in steps of its prior σ
+        logs, nats = np.arange(-3.0, 3.0), []
+        for log in logs:
+            self.session_sd[at] = np.exp(log) * np.sqrt(prior)
+            nats.append(self._joint(range(len(self.trials)))[1] - 0.5 * log**2)
+        share = np.exp(np.array(nats) - max(nats))
+        return float(share @ np.exp(2.0 * logs) / share.sum())
 
     def _mean_cost(self) -> float:
         """Return the mean cost per datum of the reference trials at their modes."""
@@ -603,19 +622,6 @@ class _Fit:
             return [self.identified[k] for k in others]
         mean = self._posterior(others).mean
         return [(self._constants(mean), mean[len(self.free):])]
-
-
-def scale_of(known: float, squares: float) -> float:
-    """Return the mean of the posterior of a common factor κ² on variances, from the sum of `squares` of deviations.
-
-    `squares`: relative to the variances without the factor, of `known` degrees of freedom.  ln κ has the prior N(0, 1):
-    the sessions of one rig differ by a third of another's, or by three times as much.
-    """
-    # u = ln κ; the posterior is integrated on a grid
-    u = np.linspace(-5.0, 3.0, 401)
-    nats = -known * u - 0.5 * squares * np.exp(-2.0 * u) - 0.5 * u**2
-    share = np.exp(nats - nats.max())
-    return float(np.sum(share * np.exp(2.0 * u)) / share.sum())
 
 
 def autocorrelation(rest: Array, most: float = 12.0) -> float:

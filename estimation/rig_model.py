@@ -187,6 +187,7 @@ class RigModel(ForwardModel):
         self.scale = self._scaled(tables)
         self.least = {n: 0.003 * s for n, s in self.scale.spread.items()}
         self.constants = table_of(self.rig, self.scale)
+        self.scattered = self.constants.names
         self.hypotheses = self._hypotheses()
         self.sense, every = 1.0, RigSession([self.record(t) for t in tables])
         if self.has_end:

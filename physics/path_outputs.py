@@ -6,9 +6,11 @@ grid of `step_s`; results have shape (sets, samples).
 
 from __future__ import annotations
 
+import math
 from typing import Final, Protocol
 
 import numpy as np
+from numba import njit
 from scipy.signal import lfilter
 
 from physics.laws import Array
@@ -82,17 +84,22 @@ def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
 def _late(signals: Array, lag_s: Array, step_s: float) -> Array:
     """Return each row of `signals` delayed by its lag, s, interpolated by cubic Hermite polynomials (Catmull–Rom)."""
     out = np.empty_like(signals)
-    whole = np.floor(lag_s / step_s).astype(int)
-    for steps in np.unique(whole):
-        rows = whole == steps
-        part = (lag_s[rows] / step_s - steps)[:, None]
-        most = abs(int(steps)) + 2
-        padded = np.pad(signals[rows], ((0, 0), (most, most)), mode="edge")
-        second, first, now, ahead = (padded[:, most - steps + k: most - steps + k + signals.shape[1]]
-                                    for k in (-2, -1, 0, 1))
-        out[rows] = now + 0.5 * part * (first - ahead + part * (
-            2.0 * ahead - 5.0 * now + 4.0 * first - second + part * (3.0 * (now - first) + second - ahead)))
+    _delayed(np.ascontiguousarray(signals), lag_s / step_s, out)
     return out
+
+
+@njit(cache=True)
+def _delayed(signals, lags, out):  # type: ignore[no-untyped-def]
+    last = signals.shape[1] - 1
+    for row in range(signals.shape[0]):
+        whole = math.floor(lags[row])
+        part = lags[row] - whole
+        for i in range(last + 1):
+            at = i - whole
+            second, first = signals[row, min(max(at - 2, 0), last)], signals[row, min(max(at - 1, 0), last)]
+            now, ahead = signals[row, min(max(at, 0), last)], signals[row, min(max(at + 1, 0), last)]
+            out[row, i] = now + 0.5 * part * (first - ahead + part * (
+                2.0 * ahead - 5.0 * now + 4.0 * first - second + part * (3.0 * (now - first) + second - ahead)))
 
 
 def _filtered(signals: Array, time_s: Array, step_s: float) -> Array:
