@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from estimation.data.table import Table
 from estimation.forward_model import ForwardModel
-from estimation.likelihood_data import Recording
+from estimation.likelihood_data import PathRecording
 from estimation.modulated_recording import modulated
 from estimation.path_model import PathModel
 from physics.constant_table import ConstantTable, ModelConstant
@@ -31,42 +30,28 @@ def with_own_effects(model: ForwardModel, names: Sequence[str] = ()) -> ForwardM
     """Return the bench's model with the own effects `names` and those of installed packages; any other model as it is.
     """
     own = dict.fromkeys([*own_effects.installed(), *names])
-    return OwnEffectsModel(model, [own_effects.OWN[name] for name in own]) if own and isinstance(
+    return OwnEffectsModel([own_effects.OWN[name] for name in own]) if own and isinstance(
         model, PathModel) else model
 
 
-class OwnEffectsModel(ForwardModel):
-    """The model `base` with the effects `own`; their constants follow those of `base`."""
+class OwnEffectsModel(PathModel):
+    """The bench's model with the effects `own`; their constants follow the bench's."""
 
-    def __init__(self, base: ForwardModel, own: Sequence[OwnEffect]) -> None:
-        for name in ForwardModel.__annotations__:
-            setattr(self, name, getattr(base, name))
-        self.base, self.own, self._count = base, {each.effect.name: each for each in own}, len(base.constants)
+    def __init__(self, own: Sequence[OwnEffect]) -> None:
+        self.own, self._count = {each.effect.name: each for each in own}, len(PathModel.constants)
         parameters = [(f"{each.effect.name}.{p.name}", p) for each in own for p in each.effect.parameters]
         self.constants = ConstantTable(
-            [*base.constants.rows, *(ModelConstant(name, p.unit, _middle(p), "linear", 0.0, 0.0, p.text,
-                                                   step=0.02 * _sd(p)) for name, p in parameters)],
-            {**base.constants.bounds, **{name: (p.low, p.high) for name, p in parameters}})
-        self.hypotheses = {**base.hypotheses, **{name: _hypothesis(each) for name, each in self.own.items()}}
-        self.amounts = {**base.amounts, **{
+            [*PathModel.constants.rows, *(ModelConstant(name, p.unit, _middle(p), "linear", 0.0, 0.0, p.text,
+                                                        step=0.02 * _sd(p)) for name, p in parameters)],
+            {**PathModel.constants.bounds, **{name: (p.low, p.high) for name, p in parameters}})
+        self.hypotheses = {**PathModel.hypotheses, **{name: _hypothesis(each) for name, each in self.own.items()}}
+        self.amounts = {**PathModel.amounts, **{
             f"{each.effect.name}.{name}": (f"{each.effect.name}.size", _sd(each.effect.parameters[0]))
             for each in own for name in each.shape}}
 
-    def lacking(self, table: Table) -> list[str]:
-        """Return the needed columns that a trial does not have."""
-        return self.base.lacking(table)
-
-    def limits(self, effect: str, parameter: str) -> tuple[float, float, str]:
-        """Return the bounds and the unit of an effect's parameter."""
-        return self.base.limits(effect, parameter)
-
-    def record(self, table: Table) -> Any:
-        """Return a trial as a recording of the base model."""
-        return self.base.record(table)
-
-    def predict(self, q: Array, trial: Any) -> Array:
+    def predict(self, q: Array, trial: PathRecording) -> Array:
         """Return the predicted data of each column of coordinates `q`, shape (sets, data)."""
-        plain = self.base.predict(q[:self._count], trial)
+        plain = super().predict(q[:self._count], trial)
         for name, each in self.own.items():
             sizes = np.stack([self._value(q, f"{name}.{size}") for size in each.sizes])
             acting = np.flatnonzero(np.any(sizes != 0.0, axis=0))
@@ -81,15 +66,15 @@ class OwnEffectsModel(ForwardModel):
         low, high = self.constants.bounds[name]
         return np.asarray(np.clip(self.constants.rows[i].middle + q[i], low, high))
 
-    def _added(self, own: OwnEffect, q: Array, sizes: Array, shape: Mapping[str, Array], trial: Recording) -> Array:
+    def _added(self, own: OwnEffect, q: Array, sizes: Array, shape: Mapping[str, Array], trial: PathRecording) -> Array:
         """Return the change of the data by one own effect, shape (sets, data); the course is that of the first set."""
-        table, row = self.base.constants, self.base.constants.index[own.carrier]
+        table, row = PathModel.constants, self.constants.index[own.carrier]
         ahead = q.copy()
         ahead[row] += table.step[row]
-        both = self.base.predict(np.concatenate([q, ahead], axis=1), trial)
+        both = super().predict(np.concatenate([q, ahead], axis=1), trial)
         units = np.array([in_units(table, column, own.carrier, PATH_CARRIERS[own.carrier]) for column in q.T])
         slopes: Array = (both[q.shape[1]:] - both[:q.shape[1]]) / table.step[row] * units[:, None]
-        course, function = modulated(self.base, q[:, 0], trial), own.function
+        course, function = modulated(self, q[:, 0], trial), own.function
         if function.depends != "nothing" and getattr(course.course, function.depends) is None:
             return np.zeros_like(slopes)  # a trial without the signal does not show the effect
         known: dict[tuple[float, ...], Array] = {}
@@ -102,52 +87,21 @@ class OwnEffectsModel(ForwardModel):
             out[k] = slopes[k] * (sizes[:, k] @ known[key])
         return out
 
-    def simulated_states(self, q: Array, trial: Any) -> Array:
+    def simulated_states(self, q: Array, trial: PathRecording) -> Array:
         """Return the states that the discrepancy depends on, without own effects."""
-        return self.base.simulated_states(q[:self._count], trial)
+        return super().simulated_states(q[:self._count], trial)
 
-    def course(self, q: Array, trial: Any) -> tuple[Array, Array, Array, Array, Array | None]:
-        """Return position, speed, loads and joint angle on the time grid."""
-        return self.base.course(q[:self._count], trial)
+    def course(self, q: Array, trial: PathRecording) -> tuple[Array, Array, Array, Array, Array | None]:
+        """Return position, speed, START, END and knee angle on the time grid, without own effects."""
+        return super().course(q[:self._count], trial)
 
-    def motion(self, trial: Any) -> Array:
-        """Return the signals whose range in the reference trials a trial should not exceed."""
-        return self.base.motion(trial)
-
-    def origin(self, trial: Any) -> Array:
+    def origin(self, trial: PathRecording) -> Array:
         """Return start coordinates of the first fit; own effects are absent."""
-        return self._longer(self.base.origin(trial))
+        return np.concatenate([super().origin(trial), np.zeros(len(self.constants) - self._count)])
 
-    def scanned(self, middle: Array, trial: Any) -> list[Array]:
-        """Return start coordinates of the first fit about `middle`."""
-        return [self._longer(q) for q in self.base.scanned(middle[:self._count], trial)]
-
-    def _longer(self, q: Array) -> Array:
-        return np.concatenate([q, np.zeros(len(self.constants) - self._count)])
-
-    def session_at(self, q: Array) -> Array:
-        """Return 1σ between sessions of each constant; 0 of own effects."""
-        return self._longer(self.base.session_at(q[:self._count]))
-
-    def growth(self, trial: Any, name: str, signal: Array) -> float:
-        """Return the factor on the model error's variance, as the base model."""
-        return self.base.growth(trial, name, signal)
-
-    def changing(self, trial: Any, name: str, signal: Array) -> float:
-        """Return the variance of the changing part of an output, as the base model."""
-        return self.base.changing(trial, name, signal)
-
-    def unpredicted(self, q: Array, trial: Any, name: str) -> Array | float:
+    def unpredicted(self, q: Array, trial: PathRecording, name: str) -> Array | float:
         """Return the variance of an output's data that no constant predicts."""
-        return self.base.unpredicted(q[:self._count], trial, name)
-
-    def errors(self, trial: Any, residual: Array) -> dict[str, Array]:
-        """Return the error of each output signal that corresponds to a residual of the data."""
-        return self.base.errors(trial, residual)
-
-    def weighed(self, trial: Any, errors: Mapping[str, Array]) -> Array:
-        """Return the error of the data that corresponds to errors of the output signals."""
-        return self.base.weighed(trial, errors)
+        return super().unpredicted(q[:self._count], trial, name)
 
 
 def _middle(p: EffectParameter) -> float:

@@ -341,7 +341,7 @@ class _Fit:
         scale = np.ones(self.bench.size)
         scale[:len(self.free)] = ratio[self.free]
         self.linear = [linear._replace(design=linear.design * scale) for linear in self.linear]
-        return replace(self._posterior(range(len(self.trials))), mean=self.bench)
+        return replace(self._joint(range(len(self.trials)))[0], mean=self.bench)
 
     def _lift(self, departure: Array) -> Array:
         """Return the departure that lifts each "positive" constant to where its value follows its coordinate."""
@@ -500,12 +500,8 @@ class _Fit:
         return np.concatenate([self.session_sd[self.free] ** 2,
                                self.model.session_share**2 * np.repeat(self.amplitude**2, FEATURES)])
 
-    def _posterior(self, which: Sequence[int]) -> Gaussian:
-        """Return the posterior of the bench, about `origin`, from the linearised trials with the numbers `which`."""
-        return self._joint(which)[0]
-
     def _joint(self, which: Sequence[int]) -> tuple[Gaussian, float]:
-        """Return the posterior of the bench and the log evidence of the linearised trials `which`, nats.
+        """Return posterior of the bench, about `origin`, and log evidence, nats, of the linearised trials `which`.
 
         The session deviation Σ of each trial is integrated out: information A(I + ΣA)⁻¹, A = HᵀWH.  The evidence lacks
         terms that do not depend on the priors.
@@ -620,7 +616,7 @@ class _Fit:
         others = [k for k in range(len(self.trials)) if k != j] or [j]
         if not self.model.pools_sessions:
             return [self.identified[k] for k in others]
-        mean = self._posterior(others).mean
+        mean = self._joint(others)[0].mean
         return [(self._constants(mean), mean[len(self.free):])]
 
 

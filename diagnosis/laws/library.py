@@ -9,7 +9,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from estimation.forward_model import ForwardModel
-from estimation.own_effects_model import OwnEffectsModel
 from estimation.path_model import PathModel
 from physics.effects.carriers import PATH_CARRIERS, needed
 from physics.terms import Carrier, Course
@@ -32,7 +31,7 @@ class Candidates(NamedTuple):
 
 def carriers_of(model: ForwardModel, outputs: tuple[str, ...]) -> dict[str, Carrier]:
     """Return the constants of a model that terms may modulate if `outputs` were recorded, by name."""
-    if isinstance(model, PathModel | OwnEffectsModel):
+    if isinstance(model, PathModel):
         return {name: c for name, c in PATH_CARRIERS.items() if set(needed(name)) <= set(outputs)}
     return _carriers_of_rig(model)
 
