@@ -1,13 +1,15 @@
 """Quantiles of the development family that the threshold and ambiguity set are calibrated on.
 
-    python -m tests.hidden.evidence_calibration [--reference N] [--hidden N] [--scatter N] [--noise N] [--workers N]
+    python -m tests.hidden.evidence_calibration [--reference N] [--truths N] [--hidden N] [--scatter N] [--noise N]
+                                                [--workers N]
 
-Prints, over reference trials, the verdicts by the number of the bench's other ones and how many reach a log Bayes
-factor, with the rate's 95 % interval, and the largest one of each effect; over trials with one hidden effect that is
-named, the share of the best log Bayes factor that the truth has; over benches with several reference trials, the
-scatter of each constant between sessions, in its session σ; over reference trials, the log likelihood of a further one
-by a factor on the variance of the model error, and by a factor on the growth of the session deviation with motion that
-the bench's other ones do not have.
+Prints, over reference trials of the family (`--reference`) and of two rigs of other structure (`--truths` of each), the
+verdicts by the number of the bench's other ones, how many reach a log Bayes factor, with the rate's 95 % interval, the
+threshold that 2 % reach if the largest one of a trial is exponential, and the largest one of each effect; over trials
+with one hidden effect that is named, the share of the best log Bayes factor that the truth has; over benches with
+several reference trials, the scatter of each constant between sessions, in its session σ; over reference trials, the
+log likelihood of a further one by a factor on the variance of the model error, and by a factor on the growth of the
+session deviation with motion that the bench's other ones do not have.
 """
 
 from __future__ import annotations
@@ -21,18 +23,21 @@ from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
-from scipy.stats import binomtest
+from scipy.stats import binomtest, chi2
 
 from diagnosis.evidence.decision import NAMED_NATS
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.finder import diagnose
+from estimation.data.table import table
 from estimation.path_model import PATH_MODEL
 from estimation.posterior import mode
 from physics.effects.hypotheses import HYPOTHESES
 from physics.laws import Array
 from physics.path_constants import FREE, NAMES, SESSION_SD
+from tests.hidden import truths, truths_run
 from tests.hidden.family import Job, case, session
 from tests.hidden.family_jobs import KINDS, jobs, serials
+from tests.hidden.truths import Question
 
 FIRST_SEED = 5000
 """Seeds of the reference trials: none of `family_jobs` has them."""
@@ -56,11 +61,26 @@ def hidden_jobs(count: int) -> list[Job]:
     return [job for turn in zip(*each, strict=False) for job in turn][:count]
 
 
-def gains(job: Job) -> tuple[str, dict[str, float]]:
-    """Return the verdict and the log Bayes factors of a case; none of these where wire or integrity come first."""
-    made = case(job)
-    said = diagnose([made.trial], healthy=list(made.healthy))
-    return said.verdict, dict((said.evidence or {}).get("log_bayes_factors", {}))
+def truth_questions(count: int, first: int = 4100) -> list[Question]:
+    """Return reference trials of the rigs of other structure, every second one of another mesh and travel."""
+    return [Question(name, ("null_alt" if i % 2 else "null",), first + i)
+            for i in range(count) for name in truths.STRUCTURES]
+
+
+def gains(job: Job | Question) -> tuple[str, dict[str, float]]:
+    """Return the verdict and the log Bayes factors of a case; none of these where wire or integrity come first.
+
+    They are relative to the growth of the threshold with motion that no reference trial has.
+    """
+    if isinstance(job, Question):
+        drawn = truths_run.stored(job)
+        trial, healthy = table("trial", drawn.trial), [table(f"healthy{k}", c) for k, c in enumerate(drawn.references)]
+    else:
+        trial, healthy = case(job).trial, list(case(job).healthy)
+    said = diagnose([trial], healthy=healthy)
+    evidence = said.evidence or {"named_nats": NAMED_NATS}
+    growth = evidence["named_nats"] / NAMED_NATS
+    return said.verdict, {name: nats / growth for name, nats in evidence.get("log_bayes_factors", {}).items()}
 
 
 def scatter(job: Job) -> Array | None:
@@ -93,10 +113,19 @@ def likelihoods(job: Job) -> tuple[Array, Array | None]:
     return np.array(told), np.array([mode(observed, prior, start=start).log_evidence for prior in grown])
 
 
-def quantiles(largest: Sequence[float]) -> list[str]:
-    """Return a line for each threshold: how many reference trials reach it."""
-    return [f"{nats:g} nats: {_rate(sum(v >= nats for v in largest), len(largest))} of the reference trials reach it"
-            for nats in (10.0, NAMED_NATS, 14.0, 20.0, 30.0)]
+def quantiles(largest: Sequence[float], share: float = 0.02) -> list[str]:
+    """Return a line for each threshold: how many reference trials reach it; and the threshold that `share` reach.
+
+    The largest log Bayes factor of a trial is taken as exponential, negative ones as 0.
+    """
+    count = len(largest)
+    found = float(np.mean(np.maximum(largest, 0.0))) * -np.log(share)
+    # 2n times the mean of n exponential values over their scale is χ² with 2n degrees of freedom
+    low, high = (found * 2.0 * count / chi2.ppf(q, 2 * count) for q in (0.975, 0.025))
+    return [f"{nats:g} nats: {_rate(sum(v >= nats for v in largest), count)} of the reference trials reach it"
+            for nats in (8.0, NAMED_NATS, 12.0, 20.0)] + [
+        f"{100.0 * share:g} % of {count} would reach {found:.1f} nats (95 %: {low:.1f} … {high:.1f}); largest: "
+        + ", ".join(f"{v:.1f}" for v in sorted(largest)[-5:])]
 
 
 def _rate(count: int, whole: int) -> str:
@@ -109,12 +138,13 @@ def main(arguments: list[str]) -> None:
     """Ask the development family and print the quantiles."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--reference", type=int, default=200)
+    parser.add_argument("--truths", type=int, default=0)
     parser.add_argument("--hidden", type=int, default=120)
     parser.add_argument("--scatter", type=int, default=40)
     parser.add_argument("--noise", type=int, default=40)
     parser.add_argument("--workers", type=int)
     given = parser.parse_args(arguments)
-    asked = [*reference_jobs(given.reference), *hidden_jobs(given.hidden)]
+    asked: list[Job | Question] = [*reference_jobs(given.reference), *truth_questions(given.truths), *hidden_jobs(given.hidden)]
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
         _print_sessions([rows for rows in crew.map(scatter, reference_jobs(given.scatter)) if rows is not None])
         _print_likelihoods(list(crew.map(likelihoods, reference_jobs(given.noise))))
@@ -138,26 +168,30 @@ def _print_likelihoods(rated: Sequence[tuple[Array, Array | None]]) -> None:
                             for factor, rise in zip(factors, rises, strict=True)))
 
 
-def _print_gains(told: Mapping[Job, tuple[str, dict[str, float]]]) -> None:
+def _print_gains(told: Mapping[Job | Question, tuple[str, dict[str, float]]]) -> None:
     asked, found = list(told), {job: rated for job, (_, rated) in told.items()}
     verdicts: dict[int, Counter[str]] = {1: Counter(), 2: Counter(), 3: Counter()}
     for job, (verdict, _) in told.items():
-        verdicts[session(job).healthy].update([] if job.hidden else [verdict])
-    none = [max(found[j].values()) for j in asked if not j.hidden and found[j]]
+        verdicts[2 if isinstance(job, Question) else session(job).healthy].update([] if _effects(job) else [verdict])
+    none = [max(found[j].values()) for j in asked if not _effects(j) and found[j]]
     if not asked:
         return
     for healthy, counted in [*verdicts.items(), ("1 to 3", sum(verdicts.values(), Counter()))]:
         print(f"verdict of a trial in the reference condition, {healthy} reference trials:", ", ".join(
             f"{name} {_rate(count, counted.total())}" for name, count in counted.most_common()))
     print("\n".join(quantiles(none)))
-    effects = sorted({name for j in asked if not j.hidden for name in found[j]})
+    effects = sorted({name for j in asked if not _effects(j) for name in found[j]})
     print("largest of reference trials, nats:", ", ".join(
-        f"{name} {max(found[j].get(name, 0.0) for j in asked if not j.hidden):.1f}" for name in effects))
-    shares = sorted(found[j].get(j.hidden[0], 0.0) / max(found[j].values()) for j in asked
-                    if j.hidden and found[j] and max(found[j].values()) >= NAMED_NATS)
+        f"{name} {max(found[j].get(name, 0.0) for j in asked if not _effects(j)):.1f}" for name in effects))
+    shares = sorted(found[j].get(_effects(j)[0], 0.0) / max(found[j].values()) for j in asked
+                    if _effects(j) and found[j] and max(found[j].values()) >= NAMED_NATS)
     at = np.quantile(shares, [0.0, 0.02, 0.05, 0.1]) if shares else []
     print(f"share of the best that the truth has, of {len(shares)} named: least, 2 %, 5 %, 10 %:",
           ", ".join(f"{v:.2f}" for v in at))
+
+
+def _effects(job: Job | Question) -> tuple[str, ...]:
+    return job.effects if isinstance(job, Question) else job.hidden
 
 
 if __name__ == "__main__":
