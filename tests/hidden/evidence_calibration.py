@@ -144,7 +144,8 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--noise", type=int, default=40)
     parser.add_argument("--workers", type=int)
     given = parser.parse_args(arguments)
-    asked: list[Job | Question] = [*reference_jobs(given.reference), *truth_questions(given.truths), *hidden_jobs(given.hidden)]
+    asked: list[Job | Question] = [*reference_jobs(given.reference), *truth_questions(given.truths),
+                                   *hidden_jobs(given.hidden)]
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
         _print_sessions([rows for rows in crew.map(scatter, reference_jobs(given.scatter)) if rows is not None])
         _print_likelihoods(list(crew.map(likelihoods, reference_jobs(given.noise))))
