@@ -42,7 +42,7 @@ class PathModel(ForwardModel):
     load_state = 4
     """Row of the logarithm of START tension among the states."""
     scattered = ("arm", "arm2", "arm3")
-    """On some benches the geometry repeats, on others a garment that is put on anew changes it (decision 46)."""
+    """On some benches the geometry repeats, on others a garment that is put on anew changes it (decision 47)."""
     session_share = 0.35
     unseen = 7.0
     """Without it, a gait of a higher peak than the only reference trial's gets a name (`evidence_calibration`)."""
