@@ -385,7 +385,7 @@ class _Fit:
         ln κ has the prior N(0, 1): the sessions of one bench differ by a third of another's, or by three times as much.
         """
         # p(κ | y) ∝ p(y | κ)·N(ln κ; 0, 1), summed over ln κ in steps of its prior σ
-        logs, nats = np.arange(-3.0, 3.0), []
+        logs, nats = np.arange(-3.0, 2.0), []
         for log in logs:
             self.session_sd[at] = np.exp(log) * np.sqrt(prior)
             nats.append(self._joint(range(len(self.trials)))[1] - 0.5 * log**2)
@@ -524,7 +524,7 @@ class _Fit:
             pull += error - side.T @ across
             evidence += 0.5 * float(deviation * error @ across) - float(np.log(np.diag(inner[0])).sum())
         lengths, axes = np.linalg.eigh(0.5 * (information + information.T))
-        lengths, pull = np.maximum(lengths, 0.5), axes.T @ pull
+        lengths, pull = np.maximum(lengths, 1.0), axes.T @ pull  # the prior alone has 1
         evidence += 0.5 * float((pull**2 / lengths - np.log(lengths)).sum())
         covariance = (axes / lengths) @ axes.T * scale[:, None] * scale
         return Gaussian(self.origin, scale * (axes @ (pull / lengths)), covariance), evidence
