@@ -1,4 +1,4 @@
-"""Walks of strides that differ, on own benches and benches of the family, stride by stride: docs/strides.md.
+"""Force and phase in walks whose strides differ, on benches of the own plant and of the family: docs/strides.md.
 
     python -m benchmarks.strides [DIRECTORY] [--minutes 7] [--kind own]
 
@@ -37,14 +37,14 @@ PEAK_N, PERIOD_S = 40.0, 1.2
 STRIDES = 60
 INTERRUPTED = {"stumbles": 2, "stops": 2, "sits": 1}
 MIGRATION_MM, WALK_S = 5.0, 85.0
-"""Shift of the rope's zero in a walk, mm, which takes about so long, s."""
+"""Shift of the rope's zero during a walk, mm, and duration of a walk, s."""
 WALKS: tuple[dict[str, Any], ...] = tuple(
     {"kind": kind, "serial": serial, "seed": 1000 + i, "migration_mm": MIGRATION_MM if i % 4 < 2 else -MIGRATION_MM}
     for i, (kind, serial) in enumerate([
         bench for k in range(20) for bench in (("own", family.OWN[k % 3]), ("family", 2 * k))]))
 """Walks of the page: kind and serial of a bench, seed of the walk and of the noise, migration, mm."""
 MOVES_HZ = 0.001
-"""Frequency of the sine by whose beginning the own plant's zero moves, Hz: nearly a straight line in a walk."""
+"""Frequency of the sine that moves the zero of the own plant, Hz; a walk lasts for its nearly straight beginning."""
 RMSE, TRUE_RMSE = "rmse_percent", "true_phase_rmse_percent"
 SPREAD = ("median", "percentile_95", "worst")
 BARS = (
@@ -102,7 +102,7 @@ def recording(walk: Mapping[str, Any]) -> Path:
 
 
 def walked(walk: Mapping[str, Any], knee: Path) -> dict[str, Any]:
-    """Walk on one bench; return its row."""
+    """Run one walk of `WALKS` and return its row of docs/strides.csv."""
     import bowden
     from bowden.bench import buses
     from bowden.sweep.rows import plant_model
@@ -131,15 +131,17 @@ def table() -> dict[str, dict[str, Any]]:
 
 
 def counted(rows: Sequence[Mapping[str, Any]], key: str) -> list[float]:
-    """Return a figure of every stride that was walked, not interrupted, from the second on; by the true phase of those
-    in which the whole force was asked for."""
+    """Return a figure of each uninterrupted stride but the first.
+
+    Figures at the true phase are those of strides in which the whole force was asked for.
+    """
     return [one[key] for row in rows if row["walk"] for one in row["walk"]["by_stride"]
             if one["kind"] == "walk" and one["stride"] >= 1 and one[key] is not None
             and (one["assisted"] or key != TRUE_RMSE)]
 
 
 def described(row: Mapping[str, Any]) -> list[str]:
-    """Return a row of the page."""
+    """Return the cells of a walk in the page's table."""
     walk = row["walk"]
     if walk is None:
         return [name(row), f"{row['stop_reason']}", *[""] * 10]
@@ -151,10 +153,10 @@ def described(row: Mapping[str, Any]) -> list[str]:
 
 
 def limit(strides: Sequence[Stride], draws: int = 100) -> list[float]:
-    """Return median, 95 % and worst RMSE, % of the peak, of a force by the best linear phase.
+    """Return median, 95 % and worst RMSE, % of the peak, that the best linear estimate of the period permits.
 
-    The phase is the time since the stride began, known exactly, by a period that is regressed on the knee angle since
-    then: fitted to all strides but one, with drawn periods and amplitudes, and judged on that one.
+    The beginning of each stride is known exactly; its period is regressed on the knee angle since then.  The regression
+    is fitted to all strides but one, with drawn periods and amplitudes, and judged on that one.
     """
     random, at = np.random.default_rng(0), np.arange(1, 34) / 100.0
 

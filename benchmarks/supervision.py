@@ -96,8 +96,7 @@ class Ended(NamedTuple):
     """End of a trial, greatest normalised residual of each relation, and the end by the packaged calibration.
 
     `packaged`: why the bench had to be identified and run again; None if it had not.  `monitored`: whether a safety
-    monitor watched it.  `trial_s`: its length from the
-    silent bus to the end, s; `gait_s`: that of its gait cycles.
+    monitor watched it.  `trial_s`: its length from the silent bus to the end, s; `gait_s`: that of its gait cycles.
     """
 
     number: int
