@@ -8,15 +8,6 @@ from parameters import parameter
 from physics.calibration import Calibration
 
 __all__ = [
-           "Calibration",
-           "Column",
-           "Conditions",
-           "Controller",
-           "ControllerInput",
-           "ControllerOutput",
-           "GaitTable",
-           "HomingFit",
-           "Impedance",
-           "Trace",
-           "parameter",
+    "Calibration", "Column", "Conditions", "Controller", "ControllerInput", "ControllerOutput", "GaitTable",
+    "HomingFit", "Impedance", "Trace", "parameter",
 ]
