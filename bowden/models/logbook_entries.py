@@ -43,24 +43,24 @@ FIGURES: Final = ("relative_rmse_percent", "relative_rmse_window_percent", "max_
 
 
 def add(folder: Path, path: Path, session: str | None = None, figures: Mapping[str, Any] | None = None
-        ) -> TrialEntry:
-    """Enter a trial or a table, fit it, and return its entry; acknowledged once this returns.
+        ) -> tuple[TrialEntry, bool]:
+    """Enter a trial or a table, fit it, and return its entry and whether it is new; acknowledged once this returns.
 
     `session`: its label (None: the recording's own date, of a simulated bench its day).  A file that was entered is not
-    entered again.
+    entered again and keeps its session.
     """
     with open_logbook(folder) as book:
         described = _described(path, figures, book.path)
         known = {entry.id: entry.label for entry in book.sessions()}.get(book.session_of(described.digest) or 0)
         label = known or _label(path, session, described)
-        number, _ = book.enter_trial(described, label, _place(label, path, described))
+        number, new = book.enter_trial(described, label, _place(label, path, described))
         fit_missing(book)
-        return book.trials(1, trial=number)[0]
+        return book.trials(1, trial=number)[0], new
 
 
 def entered(folder: Path, path: Path, session: str, figures: Mapping[str, Any]) -> dict[str, Any]:
     """Enter a trial that was just recorded; return its number, session and whether it was fitted."""
-    entry = add(folder, path, session, figures)
+    entry, _ = add(folder, path, session, figures)
     return {"logbook": str(folder), "trial": entry.id, "session": entry.label, "fitted": entry.estimated,
             "remark": entry.remark}
 
@@ -129,7 +129,7 @@ def against_history(folder: Path, path: Path) -> dict[str, Any]:
 
 def add_verdict(folder: Path, path: Path, content: Mapping[str, Any]) -> None:
     """Enter the verdict on a trial; the trial is entered, too, if it is new."""
-    entry = add(folder, path)
+    entry, _ = add(folder, path)
     with open_logbook(folder) as book:
         book.enter_verdict(entry.id, content)
 

@@ -219,6 +219,8 @@ class LssMaster:
 
 def refuse_taken(link: Link, node_id: int) -> None:
     """Raise `InputError` where a node id cannot be given: out of range, or a node answers to it."""
+    if not 1 <= node_id <= 127:
+        raise InputError(f"node id {node_id}: is outside 1 … 127; give a free one, as bowden node scan shows.")
     taken = node_id in link.beats
     with suppress(SdoError):
         taken = bool(link.sdo_read(node_id, 0x1000)) or taken

@@ -134,7 +134,8 @@ def test_a_moved_file_is_told_and_found_again(here: Path, bowden: Callable[..., 
     assert re.search(r"\(not[\s│]*found\)", bowden("logbook", "list", "book").stdout)  # long paths are wrapped
     told(bowden, "logbook", "report", "book", "-o", "page.html")
     assert "file not found" in Path("page.html").read_text(encoding="utf-8")
-    told(bowden, "logbook", "add", "book", "b.csv")
+    status, out, _ = bowden("logbook", "add", "book", "b.csv", "--session", "tuesday")
+    assert (status, out.startswith("Trial 1, session monday: "), "it was entered before" in out) == (0, True, True), out
     again = told(bowden, "logbook", "list", "book")["newest"]
     assert [(row["there"], row["label"]) for row in again] == [(True, "monday")]
 

@@ -88,6 +88,7 @@ def test_bad_input_is_one_sentence(typed: Run, can_bus: CanBus, words: tuple[obj
     node = can_bus.add_node("knee_drive", 5)
     told = typed(*words)
     assert (told.status, told.stdout, told.stderr.count("\n")) == (2, "", 1), told
+    assert ("outside 1 … 127" in told.stderr) == (words[1:] in ((0,), (128,))), told
     assert (node.node_id, node.device.lss.pending) == (5, 5)
 
 

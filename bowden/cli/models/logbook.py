@@ -57,7 +57,7 @@ def init_logbook(
 def add_trials(folder: Folder, files: Files, session: options.Session = None) -> CommandAnswer:
     """Enter recorded trials and lab data, and fit them.
 
-    A file that was entered is not entered again; where it was moved, its new place is kept.
+    A file that was entered is not entered again and keeps its session; where it was moved, its new place is kept.
 
     Example: bowden logbook init bench1 && bowden logbook add bench1 trial.mcap --session 2026-03-02
     """
@@ -67,9 +67,10 @@ def add_trials(folder: Folder, files: Files, session: options.Session = None) ->
     for file in files:
         with terminal.waiting(f"fitting {file}"):
             entries.append(logbook_entries.add(folder, file, session))
-    return CommandAnswer({"logbook": str(folder), "added": [entry._asdict() for entry in entries]}, [
-        f"Trial {entry.id}, session {entry.label}: {entry.path}" + (
-            "" if entry.estimated else f"; not fitted: {entry.remark}") for entry in entries])
+    added = [entry._asdict() | {"new": new} for entry, new in entries]
+    return CommandAnswer({"logbook": str(folder), "added": added}, [
+        f"Trial {entry.id}, session {entry.label}: {entry.path}" + ("" if new else "; it was entered before")
+        + ("" if entry.estimated else f"; not fitted: {entry.remark}") for entry, new in entries])
 
 
 @logbook.command("list")
