@@ -127,7 +127,7 @@ def _summary(page: Page, found: Findings) -> None:
         page.text(left)
     if found.causes:
         page.tiles([Tile(c["effect"], "", c["site"],
-                         f"takes {number(c['gain_percent'], 3)} % of the residual that it mends most")
+                         f"reduces by {number(c['gain_percent'], 3)} % the residual that it reduces most")
                     for c in found.causes])
         page.table(("cause", "value", "law", "how it shows"), [
             (c["effect"], f"{name} = {interval(one)}", CATALOGUE[c["effect"]].law, CATALOGUE[c["effect"]].signature)

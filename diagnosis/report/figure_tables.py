@@ -37,13 +37,17 @@ def relations(page: Page, found: Findings) -> None:
         page.table(("signal", "unit", "healthy floor", "simulated on the nominal calibration"),
                    [(NamedText(words(key), key), f.unit, f.floor, f.rmse_before) for key, f in found.relations.items()])
         return
-    page.table(("signal", "unit", "healthy floor", "reference", "session", "named", "gain (%)", "95 % low", "high",
-                "held-out reference", "session", "named"), [
+    page.table(("signal", "unit", "healthy floor", "reference", "session", "named", "gain (%)", "95 % low", "high"), [
         (NamedText(words(key), key), f.unit, f.floor, f.rmse_before, f.rmse_session, f.rmse_after, f.gain_percent,
-         f.low, f.high, f.holdout_before, f.holdout_session, f.holdout_after) for key, f in found.relations.items()])
+         f.low, f.high) for key, f in found.relations.items()])
     page.text("Reference: the reference condition as identified. Session: with its constants adapted. Named: with the "
               "named effects, too; the gain is that of named over session. Floor: what reference trials miss "
-              "of each other. Held out: trials given with --holdout, to which nothing was fitted.", "note")
+              "of each other.", "note")
+    held_out = [(NamedText(words(key), key), f.unit, f.holdout_before, f.holdout_session, f.holdout_after)
+                for key, f in found.relations.items() if f.holdout_before is not None]
+    if held_out:
+        page.heading("Root mean square on trials held out, to which nothing was fitted")
+        page.table(("signal", "unit", "reference", "session", "named"), held_out)
 
 
 def rivals(page: Page, found: Findings) -> None:

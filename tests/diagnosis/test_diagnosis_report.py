@@ -277,6 +277,7 @@ def test_a_browser_shows_it_with_nothing_fetched(
     drawn = browser.run("document.querySelectorAll('.plot[role=img] canvas').length")
     assert drawn == browser.run("document.querySelectorAll('.plot[role=img]').length") > 20
     assert browser.run("document.documentElement.scrollWidth <= innerWidth")
+    assert browser.run("[...document.querySelectorAll('.wide')].filter(t => t.scrollWidth > t.clientWidth).length") == 0
     legends = set(browser.run("[...document.querySelectorAll('.legend')].map(l => l.innerText.trim())"))
     assert "" not in legends
 
