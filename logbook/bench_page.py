@@ -18,6 +18,7 @@ from logbook.bench_state import CANNOT, CONSTANTS, BenchState, ConstantCourse, D
 from logbook.database import Logbook, TrialEntry
 from parameters import InputError
 from parameters.files import write_whole
+from trial.report.words import quantity
 
 WIDTH, HEIGHT = 420.0, 44.0
 TRIALS: Final = 500
@@ -29,7 +30,7 @@ td,th{padding:.25em .6em;text-align:left;border-bottom:1px solid #e3e7ec;vertica
 .alarm{background:#fdecea;border-left:5px solid #c62828;padding:.6em 1em;margin:.6em 0}
 .calm{background:#e8f5e9;border-left:5px solid #2e7d32;padding:.6em 1em;margin:.6em 0}
 .unknown{background:#fff8e1;border-left:5px solid #8a6d00;padding:.6em 1em;margin:.6em 0}
-.number{text-align:right;font-variant-numeric:tabular-nums}.missing{color:#c62828}
+.number{text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums}.missing{color:#c62828}
 svg{display:block}.band{fill:#1f6fb2;opacity:.18}.line{fill:none;stroke:#1f6fb2;stroke-width:1.4}
 .change{stroke:#c62828;stroke-width:1.6}.note{stroke:#8a6d00;stroke-width:1.2;stroke-dasharray:3 2}
 .point{fill:#1f6fb2}.moved td{background:#fff6f5}small{color:#5b6673}
@@ -46,7 +47,7 @@ def write(book: Logbook, state: BenchState, path: Path) -> int:
 def page(book: Logbook, state: BenchState) -> str:
     """Return the page as HTML."""
     counts = state.counts
-    head = (f"{counts['trial']} trials in {counts['session']} sessions, {state.hours:.1f} h recorded, "
+    head = (f"{counts['trial']} trials in {counts['session']} sessions, {_duration(state.hours)} recorded, "
             f"{min(state.references, len(state.sessions))} reference sessions, {counts['note']} maintenance entries.")
     body = [f"<h1>Bench {escape(state.name)}</h1><p>{head}</p>", _alarms(state), _notes(state), _constants(state),
             _changes(state), _trials(book)]
@@ -89,16 +90,20 @@ def _constants(state: BenchState) -> str:
     rows = []
     for name in sorted(state.courses, key=lambda n: n not in moved):
         course = state.courses[name]
+        (now, low, high, scatter, published), unit = course.newest()
         rows.append(
             f"<tr id='constant-{name}'{' class=moved' if name in moved else ''}><td><b>{name}</b><br><small>"
             f"{escape(course.meaning)}</small></td><td>{_sparkline(state, course, changed if name in moved else None)}"
-            f"</td><td class='number'>{course.value[-1]:.4g} {escape(course.unit)}<br><small>{course.low[-1]:.4g} … "
-            f"{course.high[-1]:.4g}</small></td><td class='number'>{course.scatter:.2g}<br><small>published "
-            f"{course.published:.2g}</small></td></tr>")
+            f"</td><td class='number'>{now} {escape(unit)}<br><small>{low} … {high}</small></td>"
+            f"<td class='number'>{scatter}<br><small>published {published}</small></td></tr>")
     return ("<h2>Constants over sessions</h2><p><small>Band: 95 % interval of a session. Red: begin of the change, in "
             "the constants that it moves. Dashed: maintenance.</small></p><table><tr>"
             "<th>constant</th><th>sessions</th><th>now, 95 %</th>"
             f"<th>1σ between sessions</th></tr>{''.join(rows)}</table>")
+
+
+def _duration(hours: float) -> str:
+    return f"{hours:.1f} h" if hours >= 1.0 else f"{60.0 * hours:.1f} min"
 
 
 def _sparkline(state: BenchState, course: ConstantCourse, change: DatedChange | None) -> str:
@@ -126,7 +131,8 @@ def _sparkline(state: BenchState, course: ConstantCourse, change: DatedChange | 
                     for kind, k in marks)
     points = "".join(
         f"<a href='#session-{number}'><circle class='point' cx='{x(k):.1f}' cy='{y(float(course.value[k])):.1f}' r='2'>"
-        f"<title>{escape(state.labels.get(number, str(number)))}: {course.value[k]:.4g}</title></circle></a>"
+        f"<title>{escape(state.labels.get(number, str(number)))}: {quantity(float(course.value[k]), course.unit)}"
+        "</title></circle></a>"
         for k, number in enumerate(state.sessions))
     return (f"<svg width='{WIDTH:.0f}' height='{HEIGHT:.0f}' role='img' aria-label='{course.name} over sessions'>"
             f"<polygon class='band' points='{band}'/><polyline class='line' points='{line}'/>{drawn}{points}</svg>")

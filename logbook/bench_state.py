@@ -24,6 +24,7 @@ from parameters import InputError
 from physics.effects.hypotheses import HYPOTHESES
 from physics.laws import Array
 from physics.path_constants import FREE, NAMES, TABLE, coordinates_of, values
+from trial.report.words import quantities
 
 MOST_TRIALS: Final = 4
 """Most reference trials, and most trials of the session since the change: more cost seconds each and add less than
@@ -185,6 +186,12 @@ class ConstantCourse:
     def departure(self) -> float:
         """Distance of the newest value from the first one, over the scatter between sessions."""
         return abs(float(self.value[-1] - self.value[0])) / max(self.scatter, 1e-300)
+
+    def newest(self, *more: float) -> tuple[list[str], str]:
+        """Return the newest value, its interval, both scatters and `more` values as texts in one unit, and that unit.
+        """
+        return quantities((*(float(each[-1]) for each in (self.value, self.low, self.high)), self.scatter,
+                           self.published, *more), self.unit)
 
 
 class Forecast(NamedTuple):

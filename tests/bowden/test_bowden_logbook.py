@@ -105,6 +105,9 @@ def test_the_page_shows_constants_and_leads_to_trials(bench: Path, browser: Any,
         "document.querySelectorAll('svg').length")
     assert browser.run("document.querySelectorAll('tr[id^=session-] a').length") == DAYS
     assert browser.run("getComputedStyle(document.querySelector('.point')).fill") == "rgb(31, 111, 178)"
+    numbers = browser.run("[...document.querySelectorAll('td.number')].map(cell => cell.innerText)")
+    assert len(numbers) > 50
+    assert [text for text in numbers if re.search(r"\de-\d", text) or text.count("\n") > 1] == []
 
 
 @pytest.mark.exhaustive

@@ -7,7 +7,7 @@ show what `shown` returns; digests, commits, bit rates and the homing fit are in
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from trial.report.page import UNKNOWN
@@ -26,9 +26,9 @@ WORDS: Final = {
 }
 """Signals in words, by column."""
 UNITS: Final = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "rad": ("°", 180.0 / math.pi),
-                "rad/s": ("°/s", 180.0 / math.pi), "ns": ("µs", 1e-3), "1": ("", 1.0)}
+                "rad/s": ("°/s", 180.0 / math.pi), "m/N": ("mm/N", 1e3), "ns": ("µs", 1e-3), "1": ("", 1.0)}
 """Unit shown and factor to it, by SI unit; others are shown as they are."""
-SMALLER: Final = {"mm": ("µm", 1e3), "N": ("mN", 1e3), "s": ("ms", 1e3)}
+SMALLER: Final = {"mm": ("µm", 1e3), "mm/N": ("µm/N", 1e3), "N": ("mN", 1e3), "s": ("ms", 1e3)}
 SMALL: Final = 0.1
 """Magnitude below which a quantity is shown in the smaller unit of `SMALLER`."""
 
@@ -54,12 +54,16 @@ def quantity(value: float | None, unit: str = "", digits: int = 3) -> str:
     """Return a value in an SI `unit` as text, with a prefixed unit and `digits` significant digits."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
+    (text,), shown = quantities((value,), unit, digits)
+    return f"{text} {shown}".rstrip()
+
+
+def quantities(values: Sequence[float], unit: str = "", digits: int = 3) -> tuple[list[str], str]:
+    """Return values in an SI `unit` as texts with `digits` significant digits, and the prefixed unit of the largest."""
     shown, factor = display_unit(unit)
-    value *= factor
-    if shown in SMALLER and 0.0 < abs(value) < SMALL:
-        shown, factor = SMALLER[shown]
-        value *= factor
-    return f"{_rounded(value, digits)} {shown}".rstrip()
+    if shown in SMALLER and 0.0 < factor * max(map(abs, values)) < SMALL:
+        shown, factor = SMALLER[shown][0], factor * SMALLER[shown][1]
+    return [_rounded(factor * value, digits) for value in values], shown
 
 
 def _rounded(value: float, digits: int) -> str:

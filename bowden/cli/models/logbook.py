@@ -210,7 +210,7 @@ def _tell(state: BenchState, most: int) -> None:
     courses = sorted(state.courses.values(), key=lambda course: -course.departure)[:most]
     terminal.table(f"{state.name}: constants in session {state.labels[state.sessions[-1]]}", (
         "constant", "unit", "first", "now", "95 % interval", "1σ between sessions"), [
-        (c.name, c.unit or "1", f"{c.value[0]:.4g}", f"{c.value[-1]:.4g}", f"{c.low[-1]:.4g} … {c.high[-1]:.4g}",
-         f"{c.scatter:.2g}") for c in courses])
+        (c.name, unit or "1", first, now, f"{low} … {high}", scatter) for c in courses
+        for (now, low, high, scatter, _, first), unit in (c.newest(float(c.value[0])),)])
     if len(courses) < len(state.courses):
         print(f"{len(state.courses) - len(courses)} further constants: --all.")
