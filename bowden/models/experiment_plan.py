@@ -140,7 +140,7 @@ def of_trials(trials: Sequence[Path], healthy: Sequence[Path], session_sd: Mappi
     """Plan for trials of one session against reference trials; `path`: the force path of several.  Raises `InputError`.
     """
     if not healthy:
-        raise InputError("bowden plan: no reference trial; name at least one with --healthy, or a --logbook.")
+        raise InputError("no reference trial; name at least one with --healthy, or a --logbook.")
     given, known = ([usable_table(file, path, "record it", MOTION) for file in group] for group in (trials, healthy))
     return _planned(given, known, session_sd)
 

@@ -82,14 +82,23 @@ def _without_comment(value: str) -> str:
     return value.strip()
 
 
+CONTROLS = bytes(set(range(1, 32)) - set(b"\t\n\f\r\x1a"))
+"""Bytes that no text has; NUL is left out, because UTF-16 without its mark has it."""
+BINARY_SHARE = 0.01
+"""Share of such bytes from which a file is no text: 0.1 of random bytes, 0 of the texts of EDS tools."""
+
+
 def read(path: Path) -> list[Section]:
-    """Read the sections of a file; `InputError` where it cannot be opened or has none."""
+    """Read the sections of a file; `InputError` where it cannot be opened, is no text or has none."""
     try:
-        found = list(parse(decode(path.read_bytes())))
+        raw = path.read_bytes()
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of an existing EDS or DCF.") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable EDS or DCF.") from None
+    if len(raw) - len(raw.translate(None, CONTROLS)) > BINARY_SHARE * len(raw):
+        raise InputError(f"{path}: is binary, no text; an EDS or DCF (CiA 306) was expected.")
+    found = list(parse(decode(raw)))
     if not found:
         raise InputError(f"{path}: no section in it; an EDS or DCF (CiA 306) was expected.")
     return found

@@ -29,7 +29,7 @@ from trial.playback import PlayerControl
 
 PATIENCE_S = 60.0  # a server that says nothing for so long has hung
 ROWS, PERIOD_NS, FIRST_NS = 3000, 1_000_000, 10**9
-EITHER = "bowden live shows a trial or a bus; give either a file or --interface."
+EITHER = "a live view shows a trial or a bus; give either a file or --interface."
 LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove-layout.json"
 MS = 1_000_000
 

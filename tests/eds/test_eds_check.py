@@ -1,13 +1,15 @@
 """`bowden check eds`: each fault planted in a sound file is found where it is, with its remedy, and nothing else is."""
 
 import re
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import eds
-from eds.files import check
+from eds.files import check, ini
+from parameters import InputError
 
 SERVO = eds.packaged("servo_drive").read_text()
 SENSOR = eds.packaged("tension_sensor").read_text()
@@ -191,3 +193,12 @@ def test_no_damage_stops_the_search(tmp_path_factory, data):
         assert finding.text
         assert finding.remedy
         assert 1 <= finding.line <= len(lines)
+
+
+def test_a_binary_file_is_refused_and_utf_16_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "trial.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + bytes(range(256)) * 9 + b"\n[1000]\nParameterName=Device type\n")
+    with pytest.raises(InputError, match="is binary, no text"):
+        ini.read(path)
+    path.write_bytes("[1000]\nParameterName=Ger\u00e4tetyp\n".encode("utf-16"))
+    assert [section.line for section in ini.read(path)] == [1]

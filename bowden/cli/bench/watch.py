@@ -45,7 +45,7 @@ def live(
     """
     if (trial is None) == (reached.interface is None):
         raise NothingGivenError("TRIAL | --interface NAME",
-                                "bowden live shows a trial or a bus; give either a file or --interface.")
+                                "a live view shows a trial or a bus; give either a file or --interface.")
     if trial is not None:
         return _play(trial, reached, speed, web, ending.after(seconds))
     return _follow_bus(reached, web, ending.after(seconds))
@@ -129,11 +129,12 @@ def watch(
 
     if (trial is None) == (reached.interface is None):
         raise NothingGivenError("TRIAL | --interface NAME",
-                                "bowden watch reads a trial or a bus; give either a file or --interface.")
+                                "a watch reads a trial or a bus; give either a file or --interface.")
     refuse_no_logbook(logbook)
     bench = replace(watched_bench(healthy, logbook), path=path or (
         None if logbook is None else logbook_entries.path_of(logbook)))
     if trial is not None:
+        output_files.refuse_ending(trial, ".mcap", what="a trial")
         return _file(trial, bench, seconds)
     return _bus(reached, output, bench, seconds, overwrite=overwrite)
 
@@ -176,7 +177,7 @@ def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float 
     from eds.bench.bench_network import wire
 
     if output is None:
-        raise InputError("bowden watch records the bus that it watches; name the file with -o FILE.")
+        raise InputError("a watch records the bus that it watches; name the file with -o FILE.")
     output_files.refuse_ending(output, ".mcap", what="a recording")
     output_files.refuse([output], overwrite=overwrite)
     network = reached.network()

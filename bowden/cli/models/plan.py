@@ -44,7 +44,7 @@ def plan_experiment(
         raise InputError("--model simulates its bench; leave trials, --healthy, --logbook and --path out.")
     if model is None and logbook is None and not trials:
         raise NothingGivenError("TRIAL… | --logbook DIR | --model FILE",
-                                "bowden plan: give trials with --healthy, a --logbook or a --model.")
+                                "give trials with --healthy, a --logbook or a --model.")
     with terminal.waiting("simulating the experiments"):
         if model is not None:
             found = experiment_plan.of_model(model)
@@ -114,7 +114,7 @@ def discover(
 
     if not trials or not healthy:
         raise NothingGivenError("TRIAL… --healthy TRIAL",
-                                "bowden discover: give a trial, and with --healthy one in the reference condition.")
+                                "give a trial, and with --healthy one in the reference condition.")
     output_files.refuse([output, picture, promote], overwrite=overwrite, inputs=[*trials, *healthy])
     output_files.refuse_ending(output, ".toml", what="a law")
     output_files.refuse_ending(promote, ".toml", what="an effect")
@@ -179,7 +179,7 @@ def mend(
 
     if not reference:
         raise NothingGivenError("--reference TRIAL -o DIR",
-                                "bowden mend: give a trial of the bench in the reference condition.")
+                                "give a trial of the bench in the reference condition.")
     found = supervisor.mend(reference, output, bus=reached.chosen(simulated), hours=hours, cycles=cycles, resume=resume,
                             progress=terminal.Terminal())
     stopped = "stopped" in found.ending or "time is up" in found.ending
