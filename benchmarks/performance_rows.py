@@ -42,7 +42,7 @@ from master.cycle.log import Log
 from master.network.bringup import bring_up
 from master.network.link import Link
 from physics.plant.bench_plant import create
-from physics.plant.leg import KNEE_AT_FIT
+from physics.plant.components import KNEE_AT_FIT
 from tests.hidden import cases
 from tests.physics.test_physics_plant_accuracy import KNEE_NM, SECONDS, SERVO_NM, Equations
 from trial.mcap_file import cdr

@@ -19,8 +19,7 @@ from parameters import InputError
 from physics import terms
 from physics.bench_model import RIG
 from physics.calibration import rows
-from physics.effects.catalogue import CATALOGUE, apply
-from physics.effects.effects_table import EVIDENCE, TABLE
+from physics.effects.catalogue import CATALOGUE, EFFECTS_TABLE, EVIDENCE, apply
 from physics.effects.own_effects import OWN
 from physics.older_files import VERSION
 
@@ -61,7 +60,7 @@ def _bench(found: Findings) -> list[str]:
 
 def _effect(cause: Mapping[str, Any], seconds: float) -> list[str]:
     name = cause["effect"]
-    lines = ["", f"[{TABLE}.{name}]  # {CATALOGUE[name].words}"]
+    lines = ["", f"[{EFFECTS_TABLE}.{name}]  # {CATALOGUE[name].words}"]
     own = {p.name for p in CATALOGUE[name].parameters}
     lines += [f"{key} = {_inline(told.items())}" for key, told in cause["parameters"].items() if key in own]
     if math.isfinite(seconds) and _relative(name, {k: t["value"] for k, t in cause["parameters"].items()}):

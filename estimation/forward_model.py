@@ -13,8 +13,8 @@ import numpy as np
 
 from estimation.data.table import Table
 from estimation.likelihood_data import Recording
-from physics.constant_table import ConstantTable
 from physics.effects.hypotheses import Hypothesis
+from physics.forward.constant_table import ConstantTable
 from physics.laws import Array
 
 

@@ -17,8 +17,8 @@ from estimation.forward_model import ForwardModel
 from estimation.likelihood_data import Recording
 from estimation.posterior import bounded, mode
 from estimation.reference_fit import ReferenceFit
-from physics.constant_table import ConstantTable
 from physics.effects.hypotheses import Variant
+from physics.forward.constant_table import ConstantTable
 from physics.laws import Array
 
 DRIFT: Final = "friction_drift"

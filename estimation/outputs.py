@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.likelihood_data import GRID_S, PathRecording
-from physics import force_path
-from physics.force_path import PathResponse
+from physics.forward import force_path
+from physics.forward.force_path import PathResponse
+from physics.forward.path_constants import PATH_ROWS, values
+from physics.forward.path_outputs import drive_force, end_reading, start_reading
 from physics.laws import Array
-from physics.path_constants import PATH_ROWS, values
-from physics.path_outputs import drive_force, end_reading, start_reading
 
 
 class Prediction(NamedTuple):

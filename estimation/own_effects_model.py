@@ -17,12 +17,12 @@ from estimation.forward_model import ForwardModel
 from estimation.likelihood_data import PathRecording
 from estimation.modulated_recording import modulated
 from estimation.path_model import PathModel
-from physics.constant_table import ConstantTable, ModelConstant
 from physics.effects import own_effects
 from physics.effects.carriers import PATH_CARRIERS, in_units, needed
 from physics.effects.effect import EffectParameter
 from physics.effects.hypotheses import Direction, Hypothesis, Variant
 from physics.effects.own_effects import OwnEffect
+from physics.forward.constant_table import ConstantTable, ModelConstant
 from physics.laws import Array
 
 

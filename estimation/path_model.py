@@ -15,11 +15,11 @@ from estimation.data.table import Table
 from estimation.forward_model import ForwardModel
 from estimation.likelihood_data import GRID_S, SIGNALS, TAUT_N, PathRecording
 from parameters import InputError
-from physics import force_path
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import HYPOTHESES
+from physics.forward import force_path
+from physics.forward.path_constants import CONSTANTS, INDEX, named
 from physics.laws import Array
-from physics.path_constants import CONSTANTS, INDEX, named
 
 UNRESOLVED: Final = 0.5
 """Share of the inertia force above 15 Hz that counts as noise of the servo force, since 200 Hz sampling aliases it."""

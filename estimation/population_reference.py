@@ -25,9 +25,9 @@ from estimation.posterior import SURROGATE, Gaussian
 from estimation.reference_fit import FEATURES, ReferenceFit, first_mode, reach_of, scaling_of
 from physics import bench_model
 from physics.bench_model import BenchModel
+from physics.forward.path_parameters import simulation_values
 from physics.laws import Array
 from physics.parameters import PARAMETERS
-from physics.path_parameters import simulation_values
 
 UNSTATED: Final = ("rope_zero", "home_preload")
 """Calibrated values that are not compared, since they depend on the tension at homing."""

@@ -16,8 +16,8 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from estimation.forward_model import ForwardModel, jacobian, predicted
 from estimation.likelihood_data import Recording
-from physics.constant_table import ConstantTable
 from physics.effects.hypotheses import Variant
+from physics.forward.constant_table import ConstantTable
 from physics.laws import Array
 
 HUBER: Final = 5.0

@@ -4,8 +4,8 @@
     drive force      START or gravity, friction, inertia, spring.
     joint angle      zero + ratio·position + compliance·START and END, if END is recorded, too.
 
-Equations: `physics.rig_forces`.  Constants and priors: `physics.rig_constants`.  Inputs are the measured motion and the
-measured END.
+Equations: `physics.forward.rig_forces`.  Constants and priors: `physics.forward.rig_constants`.  Inputs are the
+measured motion and the measured END.
 """
 
 from __future__ import annotations
@@ -29,9 +29,7 @@ from physics.effects.rig_hypotheses import (
     spring_hypotheses,
     tension_hypotheses,
 )
-from physics.laws import Array
-from physics.parameters import ESTIMATED
-from physics.rig_constants import (
+from physics.forward.rig_constants import (
     END,
     FORCE,
     JOINT,
@@ -43,7 +41,9 @@ from physics.rig_constants import (
     session_sd,
     table_of,
 )
-from physics.rig_forces import RigMotion, dahl_states, drive_force, link_torques, spring_force, start_force
+from physics.forward.rig_forces import RigMotion, dahl_states, drive_force, link_torques, spring_force, start_force
+from physics.laws import Array
+from physics.parameters import ESTIMATED
 
 
 class RigRecording(Recording):

@@ -27,8 +27,8 @@ from estimation.linear_sums import EffectColumns, Sums, effect_columns, slopes, 
 from estimation.outputs import predict
 from estimation.posterior import SessionData, bayes_factor, bounded
 from estimation.reference_fit import ReferenceFit
+from physics.forward.path_constants import CONSTANTS, FREE, INDEX
 from physics.laws import Array
-from physics.path_constants import CONSTANTS, FREE, INDEX
 
 Flags = NDArray[np.bool_]
 MOTION_COLUMNS: Final = ("time_s", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n",

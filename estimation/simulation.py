@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from estimation.data.table import Table
 from estimation.likelihood_data import START_S
 from parameters import InputError
-from physics import memory_laws
+from physics.forward.path_parameters import SimulatedTensions, plant_of, readings
+from physics.path_laws import play
 from physics.plant import imposed
+from physics.plant.components import KNEE_AT_FIT
 from physics.plant.imposed import ImposedMotion
-from physics.plant.leg import KNEE_AT_FIT
-from physics.simulated_bench import SimulatedTensions, plant_of, readings
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -50,7 +50,7 @@ def motion(given: Table, backlash_rad: float) -> ImposedMotion:
         raise InputError(f"{given.source}: no column servo_position_m; the simulation needs the rope's motion.")
     time = given["time_s"]
     knee = given["knee_angle_rad"] if "knee_angle_rad" in given else np.full(time.size, KNEE_AT_FIT)
-    knee = memory_laws.play(knee, np.arange(time.size) == 0, backlash_rad) if backlash_rad > 0.0 else knee
+    knee = play(knee, np.arange(time.size) == 0, backlash_rad) if backlash_rad > 0.0 else knee
     return imposed.motion(time, _filled(given["servo_position_m"]), _filled(knee))
 
 

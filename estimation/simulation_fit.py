@@ -21,14 +21,13 @@ from estimation.path_model import PATH_MODEL
 from estimation.reference_fit import ReferenceFit, fit_reference
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
+from physics.forward.path_constants import INDEX, SESSION_SD
+from physics.forward.path_parameters import DIRECT, plant_of, readings, simulation_values
 from physics.laws import Array
 from physics.parameters import ESTIMATED, Parameter
-from physics.path_constants import INDEX, SESSION_SD
-from physics.path_parameters import DIRECT, simulation_values
 from physics.plant import imposed
 from physics.plant.imposed import ImposedMotion, Tensions
 from physics.plant.state_layout import PlantParameters
-from physics.simulated_bench import plant_of, readings
 
 Values = Mapping[str, float]
 

@@ -22,8 +22,8 @@ from estimation.stored_fit import decoded
 from logbook.database import Logbook, Note, TrialEntry
 from parameters import InputError
 from physics.effects.hypotheses import HYPOTHESES
+from physics.forward.path_constants import FREE, NAMES, TABLE, coordinates_of, values
 from physics.laws import Array
-from physics.path_constants import FREE, NAMES, TABLE, coordinates_of, values
 from trial.report.words import quantities
 
 MOST_TRIALS: Final = 4

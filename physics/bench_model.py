@@ -15,12 +15,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from parameters import InputError, Remark, read_toml
-from physics import calibration, correlation, end_discrepancy, setup_check, terms
-from physics.calibration import Calibration, ScalarEvidence
+from physics import calibration, end_discrepancy, setup_check, terms
+from physics.calibration import Calibration, Correlation, ScalarEvidence
 from physics.conversions import RELATED, SIMULATED, UNRELATED, converted
-from physics.correlation import Correlation
-from physics.effects.catalogue import CATALOGUE, complete
-from physics.effects.effects_table import EVIDENCE, TABLE, stated
+from physics.effects.catalogue import CATALOGUE, EFFECTS_TABLE, EVIDENCE, complete, stated
 from physics.end_discrepancy import EndDiscrepancy
 from physics.older_files import OLDER_TABLES, READ, VERSION, translated
 from physics.parameters import BY_PLANT, ESTIMATED, PARAMETERS, healthy
@@ -32,8 +30,8 @@ RIG: Final = "rig"
 """Name of the TOML table with the constants of a rig of another kind, which no simulation reads."""
 SIMULATION: Final = "simulation"
 """Name of the TOML table with the parameters of the many-segment simulation that `bowden fit` fitted to the trials."""
-TABLES: Final = ("version", "bench", "parameters", *OLDER_TABLES, end_discrepancy.TABLE, TABLE, EVIDENCE, FITTED, RIG,
-                 SIMULATION, correlation.TABLE, setup_check.TABLE, terms.ARRAY)
+TABLES: Final = ("version", "bench", "parameters", *OLDER_TABLES, end_discrepancy.TABLE, EFFECTS_TABLE, EVIDENCE,
+                 FITTED, RIG, SIMULATION, calibration.CORRELATION_TABLE, setup_check.TABLE, terms.ARRAY)
 """Tables of a bench model; a plant model may hold tables of nominal values, too."""
 Values = Mapping[str, float]
 
@@ -127,7 +125,7 @@ class BenchModel:
     def text(self) -> str:
         """Return the model as TOML; `read` gives the same one back, comments and intervals of effects aside."""
         lines = [f"version = {VERSION}", f'bench = "{self.bench}"', *calibration.rows(self.values, self.evidence),
-                 *correlation.lines(self.correlation), *end_discrepancy.rows(self.discrepancy)]
+                 *calibration.correlation_lines(self.correlation), *end_discrepancy.rows(self.discrepancy)]
         if self.fitted:
             lines += ["", f"[{FITTED}]", *(f"{key} = {_cell(value)}" for key, value in self.fitted.items())]
         lines += calibration.rows(self.simulation, self.simulation_evidence, SIMULATION)
@@ -136,7 +134,7 @@ class BenchModel:
         if self.found:
             lines += ["", f"[{EVIDENCE}]", *(f"{key} = {_cell(value)}" for key, value in self.found.items())]
         for name, values in self.effects.items():
-            lines += ["", f"[{TABLE}.{name}]  # {CATALOGUE[name].words}",
+            lines += ["", f"[{EFFECTS_TABLE}.{name}]  # {CATALOGUE[name].words}",
                       *(f"{key} = {value!r}" for key, value in values.items())]
         lines += terms.rows(self.terms)
         return "\n".join(lines) + "\n"
@@ -197,5 +195,5 @@ def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) ->
         raise InputError(f"{where}: tells the constants of a rig of another kind, which nothing simulates; diagnose "
                          "its trials with its reference trials, --healthy.")
     return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where, fitted, rig,
-                      end_discrepancy.stated(tables, where), correlation.stated(tables, where), simulation,
+                      end_discrepancy.stated(tables, where), calibration.stated_correlation(tables, where), simulation,
                       simulation_evidence, terms.stated(tables, where))

@@ -2,23 +2,26 @@
 
 A calibration is the controller's view of a bench model (`physics.bench_model`): scalars and the posterior of a
 discrepancy, never a force over time; the controller has no other data of the plant. `bowden identify` measures it. The
-packaged nominal one has the paper's numbers if the paper gives them, else assumptions, marked so.
+packaged nominal one has the paper's numbers if the paper gives them, else assumptions, marked so. The correlation of
+the identified values completes their intervals to a joint covariance.
 """
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, NamedTuple
+
+import numpy as np
 
 from parameters import InputError, Remark, checked, declarations, read_toml
-from physics import correlation, end_discrepancy, stretch
+from physics import end_discrepancy, stretch
 from physics.conversions import UNRELATED, converted, to_scalars
-from physics.correlation import Correlation
 from physics.end_discrepancy import EndDiscrepancy
+from physics.laws import Array
 from physics.older_files import READ, VERSION, translated
 from physics.parameters import PARAMETERS, Parameter, assumed
 
@@ -30,6 +33,59 @@ FLAT = 0.05
 LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous",
          "viscous_tension", "start_gain", "homed_friction", "homed_softness")
 """Scalars that a file of version 1 may lack; a missing one has its assumed value, with a remark."""
+CORRELATION_TABLE: Final = "correlation"
+"""Table of a bench model: `names` of the parameters, and the `rows` of the matrix."""
+
+
+class Correlation(NamedTuple):
+    """Parameters by name, and their correlation, row by row."""
+
+    names: tuple[str, ...]
+    rows: tuple[tuple[float, ...], ...]
+
+    def over(self, names: Sequence[str]) -> Array:
+        """Return the correlation of `names`, shape (names, names); a name without one is independent."""
+        whole, place = np.eye(len(names)), {name: i for i, name in enumerate(self.names)}
+        known = [k for k, name in enumerate(names) if name in place]
+        at = [place[names[k]] for k in known]
+        whole[np.ix_(known, known)] = np.array(self.rows).reshape(len(self.names), -1)[np.ix_(at, at)]
+        return whole
+
+
+def correlation_of(names: Sequence[str], covariance: Array) -> Correlation:
+    """Return the correlation of the covariance of `names`, shape (names, names); a name without a variance is left out.
+    """
+    variance = np.diag(covariance)
+    known = np.flatnonzero(np.isfinite(variance) & (variance > 0.0)).tolist()
+    sd: Array = np.sqrt(variance[known])
+    rounded = np.round(covariance[np.ix_(known, known)] / np.outer(sd, sd), 4)
+    return Correlation(tuple(names[k] for k in known), tuple(tuple(row) for row in rounded.tolist()))
+
+
+def correlation_lines(known: Correlation | None) -> list[str]:
+    """Return the lines of the table in a bench model's file; `stated_correlation` reads them back."""
+    if known is None:
+        return []
+    names = ", ".join(f'"{name}"' for name in known.names)
+    return ["", f"[{CORRELATION_TABLE}]  # of the parameters whose intervals were estimated together",
+            f"names = [{names}]", "rows = [", *(f"    [{', '.join(map(repr, row))}]," for row in known.rows), "]"]
+
+
+def stated_correlation(tables: Mapping[str, Any], where: str) -> Correlation | None:
+    """Return the correlation that a file's tables state, None without one.  Raises `InputError`."""
+    table = tables.get(CORRELATION_TABLE)
+    if table is None:
+        return None
+    names = table.get("names", ()) if isinstance(table, Mapping) else ()
+    try:
+        matrix = np.array(table["rows"], dtype=np.float64)
+    except (KeyError, TypeError, ValueError):
+        matrix = np.zeros(0)
+    whole = matrix.shape == (len(names), len(names)) and bool(np.isfinite(matrix).all())
+    if not whole or np.abs(matrix - matrix.T).max(initial=0.0) > 1e-3 or np.abs(matrix).max(initial=0.0) > 1.0:
+        raise InputError(f"{where}: [{CORRELATION_TABLE}] rows are no correlation of its {len(names)} names, expected "
+                         "a symmetric matrix of numbers within −1 … 1; run bowden identify again.")
+    return Correlation(tuple(map(str, names)), tuple(tuple(row) for row in matrix.tolist()))
 
 
 @dataclass(frozen=True)
@@ -152,7 +208,7 @@ def read(path: str | Path, *, bench: str = "") -> Calibration:
     if not values:
         raise InputError(f"{where}: states no parameter; give a file that bowden identify wrote.")
     return of_values(values, evidence, label=where, bench=owner, beyond=end_discrepancy.stated(tables, where),
-                     together=correlation.stated(tables, where))
+                     together=stated_correlation(tables, where))
 
 
 def stated(tables: Mapping[str, Any], where: str, name: str = PARAMETER_TABLE
@@ -268,7 +324,7 @@ def write(calibration: Calibration) -> str:
     """Return the calibration as the TOML text of a bench model; `read` gives the same one back."""
     return "\n".join([
         f"version = {VERSION}", f'bench = "{calibration.bench}"', *rows(*values_of(calibration)),
-        *correlation.lines(calibration.correlation), *end_discrepancy.rows(calibration.discrepancy)]) + "\n"
+        *correlation_lines(calibration.correlation), *end_discrepancy.rows(calibration.discrepancy)]) + "\n"
 
 
 def said_of(calibration: Calibration, start_n: float) -> list[str]:

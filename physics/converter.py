@@ -21,6 +21,12 @@ RING: Final = 1024
 """Samples kept for a delayed sensor: at 4 kHz more than the longest delay."""
 
 
+LAST_S, FILTERED, LAGGED, SAMPLES, BEGUN_S, HISTORY = range(6)
+"""Places in a converter's history: time of the last sample, its force after either low-pass, number, begin of drift."""
+FULL_SCALE, CUTOFF, NOISE, GAIN, OFFSET, DRIFT, DRIFT_S, DELAY, LAG, QUANTUM, SKEW, SENSOR = range(12)
+"""Places of `SensorParameters` in the array that `convert` reads; `SENSOR` is its length."""
+
+
 @dataclass(frozen=True)
 class SensorParameters:
     """Parameters of the HYLY-019 bridge and the AD7192 converter; the last eight are errors, neutral by default."""
@@ -73,24 +79,27 @@ def _delayed(ring: Any, count: int, at_s: float) -> float:
 
 @njit(cache=True)
 def convert(state: Any, ring: Any, p: Any, seed: Any, time_ns: int, force_n: float) -> float:
-    """Return the counts of one sample; `state` is (last time, filtered, lagged, samples so far), `p` the parameters."""
+    """Return the counts of one sample; `state`: `HISTORY`; `p`: `SENSOR`."""
     now = time_ns * 1e-9
-    count = int(state[3])
+    count = int(state[SAMPLES])
     if count == 0:
-        state[1], state[2] = force_n, force_n
+        state[FILTERED], state[LAGGED] = force_n, force_n
     else:
-        dt = now - state[0]
-        state[1] += -math.expm1(-2.0 * math.pi * p[1] * dt) * (force_n - state[1])
-        state[2] = state[1] if p[8] <= 0.0 else state[2] - math.expm1(-dt / p[8]) * (state[1] - state[2])
-    state[0] = now
-    ring[count % RING, 0], ring[count % RING, 1] = now, state[2]
-    state[3] = count + 1
-    late = p[7] + p[10]
-    signal = state[2] if late <= 0.0 else _delayed(ring, count + 1, now - late)
-    signal = signal * p[3] + p[4] + p[5] * (now - state[4]) / p[6] + p[2] * normal(seed, time_ns)
-    if p[9] > 0.0:
-        signal = p[9] * round(signal / p[9])
-    counts: float = round(signal / p[0] * FULL_COUNTS)
+        dt = now - state[LAST_S]
+        state[FILTERED] += -math.expm1(-2.0 * math.pi * p[CUTOFF] * dt) * (force_n - state[FILTERED])
+        # both low-passes are exact for an input that is constant over a sample: y += (1 − e^(−Δt/τ))·(u − y)
+        filtered, lagged = state[FILTERED], state[LAGGED]
+        state[LAGGED] = filtered if p[LAG] <= 0.0 else lagged - math.expm1(-dt / p[LAG]) * (filtered - lagged)
+    state[LAST_S] = now
+    ring[count % RING, 0], ring[count % RING, 1] = now, state[LAGGED]
+    state[SAMPLES] = count + 1
+    late = p[DELAY] + p[SKEW]
+    signal = state[LAGGED] if late <= 0.0 else _delayed(ring, count + 1, now - late)
+    drift = p[DRIFT] * (now - state[BEGUN_S]) / p[DRIFT_S]
+    signal = signal * p[GAIN] + p[OFFSET] + drift + p[NOISE] * normal(seed, time_ns)
+    if p[QUANTUM] > 0.0:
+        signal = p[QUANTUM] * round(signal / p[QUANTUM])
+    counts: float = round(signal / p[FULL_SCALE] * FULL_COUNTS)
     return min(FULL_COUNTS - 1.0, max(-float(FULL_COUNTS), counts))
 
 

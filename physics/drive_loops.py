@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import astuple, dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numba import njit
@@ -21,17 +21,10 @@ DRIVE_TICK_NS: Final = 250_000
 """Period of a drive's control loops, ns."""
 
 
-class LoopSlots(NamedTuple):
-    """Indices of the loops' memory in their state array."""
-
-    position_integral: int = 0
-    velocity_integral: int = 1
-    limited: int = 2
-    following_error: int = 3
-    velocity_demand: int = 4
-
-
-LOOP: Final = LoopSlots()
+POSITION_INTEGRAL, VELOCITY_INTEGRAL, LIMITED, FOLLOWING_ERROR, VELOCITY_DEMAND, LOOP_STATES = range(6)
+"""Places in the loops' memory; `LOOP_STATES` is its length."""
+KP, KI, KV, KVI, TORQUE_LIMIT, VELOCITY_LIMIT, GAINS = range(7)
+"""Places of `Gains` in the array that the loops read; `GAINS` is its length."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +57,20 @@ KNEE_GAINS: Final = Gains(
 
 def loop_state() -> Array:
     """Return the loops' memory at rest."""
-    return np.zeros(len(LOOP))
+    return np.zeros(LOOP_STATES)
+
+
+@njit(inline="always")
+def _torque(state: Any, gains: Any, demand: float, velocity: float, dt_s: float) -> float:
+    """Return the torque demand, N·m, of the velocity loop: PI with anti-windup by clamping."""
+    lag = demand - velocity
+    wanted = gains[KV] * lag + state[VELOCITY_INTEGRAL]
+    torque: float = min(gains[TORQUE_LIMIT], max(-gains[TORQUE_LIMIT], wanted))
+    if torque == wanted or (wanted - torque) * lag < 0.0:
+        state[VELOCITY_INTEGRAL] += gains[KVI] * lag * dt_s
+    state[LIMITED] = 0.0 if torque == wanted else math.copysign(1.0, wanted)
+    state[VELOCITY_DEMAND] = demand
+    return torque
 
 
 @njit(cache=True)
@@ -77,32 +83,17 @@ def loop(
     error would drive it further in: no wind-up.
     """
     error = target - position
-    free = target_velocity + gains[0] * error + state[0]
-    demand = min(gains[5], max(-gains[5], free))
+    free = target_velocity + gains[KP] * error + state[POSITION_INTEGRAL]
+    demand = min(gains[VELOCITY_LIMIT], max(-gains[VELOCITY_LIMIT], free))
     if demand == free or (free - demand) * error < 0.0:
-        state[0] += gains[1] * error * dt_s
-    lag = demand - velocity
-    wanted = gains[2] * lag + state[1]
-    torque: float = min(gains[4], max(-gains[4], wanted))
-    if torque == wanted or (wanted - torque) * lag < 0.0:
-        state[1] += gains[3] * lag * dt_s
-    state[2] = 0.0 if torque == wanted else math.copysign(1.0, wanted)
-    state[3] = error
-    state[4] = demand
-    return torque
+        state[POSITION_INTEGRAL] += gains[KI] * error * dt_s
+    state[FOLLOWING_ERROR] = error
+    return _torque(state, gains, demand, velocity, dt_s)
 
 
 @njit(cache=True)
 def velocity_loop(state: Any, gains: Any, velocity: float, target_velocity: float, dt_s: float) -> float:
     """Return the torque demand, N·m, of the velocity loop alone (CSV, quick stop); memory and limits as in `loop`."""
-    demand = min(gains[5], max(-gains[5], target_velocity))
-    lag = demand - velocity
-    wanted = gains[2] * lag + state[1]
-    torque: float = min(gains[4], max(-gains[4], wanted))
-    if torque == wanted or (wanted - torque) * lag < 0.0:
-        state[1] += gains[3] * lag * dt_s
-    state[2] = 0.0 if torque == wanted else math.copysign(1.0, wanted)
-    state[0] = 0.0
-    state[3] = 0.0
-    state[4] = demand
-    return torque
+    state[POSITION_INTEGRAL] = state[FOLLOWING_ERROR] = 0.0
+    demand = min(gains[VELOCITY_LIMIT], max(-gains[VELOCITY_LIMIT], target_velocity))
+    return _torque(state, gains, demand, velocity, dt_s)

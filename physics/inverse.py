@@ -112,11 +112,11 @@ def law(calibration: Calibration, period_s: float, friction: float = 1.0, softne
 def elongation(law: Any, force: float) -> Any:
     """Return (stretch of the fabric, m, its slope, m/N) at a tension, N, without the constant."""
     # (10) and the saturating terms of `physics.stretch`; beyond `reach` along the tangent
-    quadratic, linear, short, wide, reach = law[1:6]
-    at = min(force, reach)
+    at = min(force, law.reach)
     by_short, by_wide = math.exp(-at / SHORT_N), math.exp(-at / WIDE_N)
-    slope = linear + 2.0 * quadratic * at + short * by_short + wide * by_wide
-    whole = (quadratic * at + linear) * at + short * SHORT_N * (1.0 - by_short) + wide * WIDE_N * (1.0 - by_wide)
+    slope = law.linear + 2.0 * law.quadratic * at + law.short * by_short + law.wide * by_wide
+    whole = ((law.quadratic * at + law.linear) * at + law.short * SHORT_N * (1.0 - by_short)
+             + law.wide * WIDE_N * (1.0 - by_wide))
     return whole + slope * (force - at), slope
 
 
@@ -144,30 +144,28 @@ def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
     `force` END, N; `knee` rad; `slip` a `Slip`, returned as a plain tuple. ln((START − drag)/END) is the exponents'
     sum.
     """
-    (constant, _quadratic, _linear, _short, _wide, _reach, rope_compliance, share, cable_exponent, rope_travel,
-     fabric_travel, fabric_offset, fabric_slope, rope_per_knee, knee_home, breakaway, fabric_breakaway,
-     breakaway_travel, fade, load_slope, drag, taut) = law
     rope, fabric, rope_x, knee_x, rope_speed, fabric_speed = slip
     # (7) against the direction of transfer: T = F·e^(s·μ2·φ), s and the Stribeck factor by the fabric's own slip
-    on_knee = (1.0 - share) * elongation(law, force)[0]
+    on_knee = (1.0 - law.share) * elongation(law, force)[0]
     if not math.isnan(knee_x):
-        fabric = presliding(fabric, on_knee - knee_x, fabric_travel)
-        fabric_speed += fade * (on_knee - knee_x - fabric_speed)
-    knee_slow = slowness(fabric_speed, breakaway_travel)
-    by_knee = ((fabric_offset + fabric_slope * abs(knee)) * fabric * (1.0 + fabric_breakaway * knee_slow)
-               * load_dependence(load_slope, force))
+        fabric = presliding(fabric, on_knee - knee_x, law.fabric_travel)
+        fabric_speed += law.fade * (on_knee - knee_x - fabric_speed)
+    knee_slow = slowness(fabric_speed, law.breakaway_travel)
+    by_knee = ((law.fabric_offset + law.fabric_slope * abs(knee)) * fabric * (1.0 + law.fabric_breakaway * knee_slow)
+               * load_dependence(law.load_slope, force))
     tension = capstan(force, by_knee)
     # rope in the sheath: (11) and the stretch on both sides of the knee; then (3), and the drag of a taut rope
-    in_sheath = rope_per_knee * (knee - knee_home) + on_knee + share * elongation(law, tension)[0]
+    in_sheath = law.rope_per_knee * (knee - law.knee_home) + on_knee + law.share * elongation(law, tension)[0]
     moved = 0.0
     if not math.isnan(rope_x):
         moved = in_sheath - rope_x
-        rope = presliding(rope, moved, rope_travel)
-        rope_speed += fade * (moved - rope_speed)
-    sheath_slow = slowness(rope_speed, breakaway_travel)
-    by_sheath = cable_exponent * rope * (1.0 + breakaway * sheath_slow) * load_dependence(load_slope, tension)
-    start = capstan(tension, by_sheath) + drag * moved * min(1.0, tension / taut)
-    position = constant + in_sheath + rope_compliance * start
+        rope = presliding(rope, moved, law.rope_travel)
+        rope_speed += law.fade * (moved - rope_speed)
+    sheath_slow = slowness(rope_speed, law.breakaway_travel)
+    by_sheath = (law.cable_exponent * rope * (1.0 + law.breakaway * sheath_slow)
+                 * load_dependence(law.load_slope, tension))
+    start = capstan(tension, by_sheath) + law.drag * moved * min(1.0, tension / law.taut)
+    position = law.constant + in_sheath + law.rope_compliance * start
     return position, start, by_sheath, by_knee, sheath_slow, knee_slow, (
         rope, fabric, in_sheath, on_knee, rope_speed, fabric_speed)
 
@@ -179,11 +177,9 @@ def held_by_position(law: Any, position: float, knee: float, start: float, drag:
     `position` is free of the zero's shift; `drag` and `by_sheath` place only the share of the stretch before the
     knee.
     """
-    constant, share, rope_compliance = law[0], law[7], law[6]
-    rope_per_knee, knee_home = law[13], law[14]
-    stretched = position - constant - rope_per_knee * (knee - knee_home) - rope_compliance * start
+    stretched = position - law.constant - law.rope_per_knee * (knee - law.knee_home) - law.rope_compliance * start
     tension = capstan(max(start - drag, 0.0), -by_sheath)
-    after = (stretched - share * elongation(law, tension)[0]) / (1.0 - share)
+    after = (stretched - law.share * elongation(law, tension)[0]) / (1.0 - law.share)
     if after <= 0.0:
         return math.nan
     return tensed(law, after, tension)
@@ -199,34 +195,30 @@ def _path(law: Any, force: Any, knee: Any, laps: int, out: Any) -> None:
 
 
 @njit(cache=True)
-def _end_from_start(
-    law: Any, position: Any, start: Any, knee: Any, end: Any, predicted: Any
-) -> None:
-    (constant, _quadratic, _linear, _short, _wide, _reach, rope_compliance, share, cable_exponent, rope_travel,
-     fabric_travel, fabric_offset, fabric_slope, rope_per_knee, knee_home, breakaway, fabric_breakaway,
-     breakaway_travel, fade, load_slope, drag, taut) = law
+def _end_from_start(law: Any, position: Any, start: Any, knee: Any, end: Any, predicted: Any) -> None:
     rope, fabric, knee_x, rope_speed, fabric_speed, force = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    before = position[0] - rope_compliance * start[0]
+    before = position[0] - law.rope_compliance * start[0]
     for i in range(start.size):
-        in_sheath = position[i] - rope_compliance * start[i]
+        in_sheath = position[i] - law.rope_compliance * start[i]
         moved = in_sheath - before
         before = in_sheath
-        rope = presliding(rope, moved, rope_travel)
-        rope_speed += fade * (moved - rope_speed)
-        grip = cable_exponent * rope * (1.0 + breakaway * slowness(rope_speed, breakaway_travel))
-        pulled = max(start[i] - drag * moved * min(1.0, max(start[i], 0.0) / taut), 0.0)
+        rope = presliding(rope, moved, law.rope_travel)
+        rope_speed += law.fade * (moved - rope_speed)
+        grip = law.cable_exponent * rope * (1.0 + law.breakaway * slowness(rope_speed, law.breakaway_travel))
+        pulled = max(start[i] - law.drag * moved * min(1.0, max(start[i], 0.0) / law.taut), 0.0)
         tension = capstan(pulled, -grip)
         for _ in range(2):
-            tension = capstan(pulled, -grip * load_dependence(load_slope, tension))
-        whole = (fabric_offset + fabric_slope * abs(knee[i])) * (
-            1.0 + fabric_breakaway * slowness(fabric_speed, breakaway_travel))
+            tension = capstan(pulled, -grip * load_dependence(law.load_slope, tension))
+        whole = (law.fabric_offset + law.fabric_slope * abs(knee[i])) * (
+            1.0 + law.fabric_breakaway * slowness(fabric_speed, law.breakaway_travel))
         # the fabric's slip depends on END, which depends on the slip: regula falsi with Illinois' halving
         low, high, at_low, at_high, side = -1.0, 1.0, 2.0, -2.0, 0
         slip = fabric
         for _step in range(40):
-            force = tension * math.exp(-whole * slip * load_dependence(load_slope, tension * math.exp(-whole * slip)))
-            on_knee = (1.0 - share) * elongation(law, force)[0]
-            left = presliding(fabric, on_knee - knee_x, fabric_travel) - slip
+            to_end = math.exp(-whole * slip)
+            force = tension * math.exp(-whole * slip * load_dependence(law.load_slope, tension * to_end))
+            on_knee = (1.0 - law.share) * elongation(law, force)[0]
+            left = presliding(fabric, on_knee - knee_x, law.fabric_travel) - slip
             if abs(left) < CLOSE:
                 break
             if left > 0.0:
@@ -238,11 +230,11 @@ def _end_from_start(
                 at_low = 0.5 * at_low if side < 0 else at_low
                 side = -1
             slip = (low * at_high - high * at_low) / (at_high - at_low)
-        fabric_speed += fade * (on_knee - knee_x - fabric_speed)
+        fabric_speed += law.fade * (on_knee - knee_x - fabric_speed)
         fabric, knee_x = slip, on_knee
         end[i] = force
-        predicted[i] = (constant + rope_per_knee * (knee[i] - knee_home) + on_knee + share * elongation(law, tension)[0]
-                        + rope_compliance * start[i])
+        predicted[i] = (law.constant + law.rope_per_knee * (knee[i] - law.knee_home) + on_knee
+                        + law.share * elongation(law, tension)[0] + law.rope_compliance * start[i])
 
 
 def path(law: Law, desired: Array, knee: Array, laps: int = 2) -> Path:
@@ -268,9 +260,7 @@ def loss(law: Law, force: Array, knee: Array) -> tuple[Array, Array]:
     return drag, exponent
 
 
-def end_from_start(
-    law: Law, position: Array, start: Array, knee: Array
-) -> tuple[Array, Array]:
+def end_from_start(law: Law, position: Array, start: Array, knee: Array) -> tuple[Array, Array]:
     """Return END tension, N, and rope position, m, by the model for a measured START; slips begin at zero.
 
     `start` must be smooth: its noise would turn the friction over.

@@ -1,8 +1,9 @@
-"""Compiled steps that simulation, inverse and effects share: pre-sliding, Stribeck, load, stretch, capstan.
+"""Compiled equations of the rope path that simulation, inverse and effects share, each once.
 
-Each equation of the rope path exists here once, for one node and one sample; the caller chooses the number of nodes
-and the unknown to solve for. `s` is a pre-sliding state, −1…1; SI. numba's cache of a caller does not see a change in
-this file: `plant.step` keeps a digest of its sources, other callers need their `__pycache__` deleted.
+Steps are for one node and one sample; the caller chooses the number of nodes and the unknown to solve for. `s` is a
+pre-sliding state, −1…1; SI. `slipped` and those after it run over measured signals: `fresh[k]` is True where sample k
+does not follow sample k − 1 (a trial's start, a gap); there the memory starts again. numba's cache of a caller does not
+see a change in this file: `plant.step` keeps a digest of its sources, other callers need their `__pycache__` deleted.
 """
 
 from __future__ import annotations
@@ -10,7 +11,11 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from physics.laws import Array
 
 LOAD_N: Final = 40.0
 """Tension at which a friction coefficient is its nominal value."""
@@ -84,3 +89,60 @@ def stretched(elongation: float, b: float, a4: float, half: float, e_tangent: fl
     """
     bent = (b - math.sqrt(max(0.0, b * b - a4 * min(elongation, e_tangent)))) * half
     return bent + k_tangent * max(0.0, elongation - e_tangent)
+
+
+Mask = NDArray[np.bool_]
+
+
+@njit(cache=True)
+def slipped(position: Array, fresh: Mask, distance: float) -> Array:
+    """Return s of ds/dx = (1 − s·sgn v)/δ, −1…1, exact for motion that is monotone between samples.
+
+    `position` m, `distance` δ in m, > 0.  Source: Dahl 1968; DIAGNOSIS catalogue, `presliding`.
+    """
+    state = np.empty(position.size)
+    s = 0.0
+    for k in range(position.size):
+        s = 0.0 if fresh[k] else presliding(s, position[k] - position[k - 1], distance)
+        state[k] = s
+    return state
+
+
+@njit(cache=True)
+def play(angle: Array, fresh: Mask, width: float) -> Array:
+    """Return the output of a dead band of total `width` driven by `angle`: it rests until one flank carries it."""
+    out = np.empty(angle.size)
+    half = 0.5 * width
+    held = 0.0
+    for k in range(angle.size):
+        held = angle[k] if fresh[k] else min(max(held, angle[k] - half), angle[k] + half)
+        out[k] = held
+    return out
+
+
+@njit(cache=True)
+def lag(signal: Array, time: Array, fresh: Mask, constant: float) -> Array:
+    """Return `signal` behind a first-order low-pass of time `constant`, s, its input linear between samples."""
+    out = np.empty(signal.size)
+    y = 0.0
+    for k in range(signal.size):
+        if fresh[k] or constant <= 0.0:
+            y = signal[k]
+        else:
+            step = time[k] - time[k - 1]
+            fade = math.exp(-step / constant)
+            slope = (signal[k] - signal[k - 1]) / step
+            y = signal[k] - slope * constant + (y - signal[k - 1] + slope * constant) * fade
+        out[k] = y
+    return out
+
+
+@njit(cache=True)
+def crept(force: Array, time: Array, fresh: Mask, creep: float, creep_time: float) -> Array:
+    """Return γ, m, of γ̇ = (J·F − γ)/τ under a measured `force`, N."""
+    gamma = np.zeros(force.size)
+    for k in range(1, force.size):
+        if not fresh[k]:
+            fade = math.exp(-(time[k] - time[k - 1]) / creep_time)
+            gamma[k] = gamma[k - 1] * fade + creep * force[k - 1] * (1.0 - fade)
+    return gamma

@@ -56,7 +56,7 @@ def test_a_temporary_cache_is_used_only_where_nothing_can_be_written(
 def test_read_only_packages_without_a_home_run_with_one_sentence(tmp_path: Path) -> None:
     inside = (f"mount --bind {ROOT} {ROOT} && mount -o remount,ro,bind {ROOT} && cd {tmp_path} && "
               f"env -u NUMBA_CACHE_DIR -u XDG_CACHE_HOME HOME=/proc/none {sys.executable} -c "
-              "'import physics.force_path'")
+              "'import physics.forward.force_path'")
     told = subprocess.run(["unshare", "-m", "sh", "-c", inside], capture_output=True, text=True, check=False)
     if "unshare" in told.stderr or "mount:" in told.stderr:
         pytest.skip("this user may not mount")

@@ -26,7 +26,7 @@ from estimation.likelihood_data import PathRecording
 from estimation.outputs import predict
 from master.network import kernel_frames
 from pathlib import Path
-from physics.path_constants import TABLE
+from physics.forward.path_constants import TABLE
 kernel_frames.prepare()
 with tempfile.TemporaryDirectory() as folder:
     trial = Path(folder, "warm.mcap")

@@ -30,7 +30,7 @@ from logbook.bench_state import (
 from logbook.database import Logbook, NewTrial, TrialEntry, open_logbook
 from logbook.session_fits import fit_missing, recording_of
 from parameters import InputError
-from physics.path_constants import FREE, TABLE
+from physics.forward.path_constants import FREE, TABLE
 from trial import read
 from trial.read import one_path, path_names
 

@@ -26,8 +26,7 @@ from eds.bench.bench_network import Network, wire
 from master.control import controller
 from master.settings import Gait
 from parameters import InputError, checked, declarations, parameter
-from physics.closure import CYCLE_POINTS
-from physics.reference import Reference
+from physics.reference import CYCLE_POINTS, Reference
 from virtual_bus.build import GROUPS, steady
 from virtual_bus.bus_options import Options
 

@@ -32,9 +32,9 @@ from estimation.posterior import SURROGATE, Gaussian, PosteriorMode, SessionData
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
 from physics.effects.separating_experiments import EXPERIMENTS
-from physics.force_path import KNEE_RAD, STRETCH_M
+from physics.forward.force_path import KNEE_RAD, STRETCH_M
+from physics.forward.path_constants import named
 from physics.laws import Array
-from physics.path_constants import named
 
 DECIDES: Final = 0.7
 """Probability from which an experiment counts as deciding; among deciding experiments the shortest comes first."""

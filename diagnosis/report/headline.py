@@ -11,9 +11,9 @@ from typing import Any, Final, NamedTuple
 from diagnosis.compared_signals import Figures
 from diagnosis.findings import Findings
 from diagnosis.laws.law_result import Laws
+from physics.effects.carriers import SITES
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
-from physics.effects.sites import SITES
 from trial.report.page import number
 
 NAMES: Final = {"tension_start_n": "START", "tension_end_n": "END", "servo_force_n": "the drive's force"}

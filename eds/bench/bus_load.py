@@ -142,10 +142,11 @@ def refuse(wire: WireLayout) -> Budget:
     if not found.holds:
         cycle, late, due, frame, compute = (t // 1000 for t in (
             wire.period_ns, found.inputs_ns, found.deadline_ns, found.targets_ns, found.compute_ns))
+        fits = rate_that_fits(wire)
         raise InputError(
             f"[network] rate_hz = {network.rate_hz} at bitrate = {network.bitrate}: the last input comes {late} µs "
             f"after SYNC at worst, but is due at {due} µs ({cycle} less {frame} for the targets' frame and {compute} "
-            f"for compute_budget_us); lower rate_hz{_to(rate_that_fits(wire))}, raise bitrate or lower "
+            f"for compute_budget_us); lower rate_hz{f' to {fits}' if fits else ''}, raise bitrate or lower "
             "compute_budget_us.")
     return found
 
@@ -160,10 +161,6 @@ def rate_that_fits(wire: WireLayout) -> int | None:
         if found.holds and found.load_percent <= LOAD_GOAL_PERCENT:
             return rate
     return None
-
-
-def _to(rate: int | None) -> str:
-    return f" to {rate}" if rate else ""
 
 
 def _demand(stream: Stream, window_ns: int, bit: int) -> int:

@@ -18,7 +18,7 @@ from scipy.signal import butter, sosfiltfilt
 from parameters import InputError
 from parameters.files import refuse_special
 from physics.laws import Array
-from physics.plant.leg import KNEE_AT_FIT
+from physics.plant.components import KNEE_AT_FIT
 from trial import slow_columns
 from trial.convert.csv_table import offer
 from trial.convert.sheets import ENDINGS, sheet_of

@@ -24,8 +24,8 @@ from scipy.signal import lfilter
 from estimation.transfer.homing_fit import adapt, lag_compensated, smoothed
 from estimation.transfer.jackknife import LineFit, MeasuredScalar, half_width
 from parameters import InputError
-from physics import correlation, inverse, stretch
-from physics.calibration import Calibration, ScalarEvidence
+from physics import inverse, stretch
+from physics.calibration import Calibration, ScalarEvidence, correlation_of
 from physics.laws import Array
 
 POINT_M = 0.4e-3
@@ -226,7 +226,7 @@ def loops(
     evidence = {u.name: ScalarEvidence(float(value - by), float(value + by), repeatability=float(again))
                 for u, value, by, again in zip(_UNKNOWNS, found.x, half, scatter, strict=True) if u.name != END_LAG}
     known = [i for i, u in enumerate(_UNKNOWNS) if u.name != END_LAG and np.isfinite(half[i])]
-    together = correlation.of_covariance([_UNKNOWNS[i].name for i in known],
+    together = correlation_of([_UNKNOWNS[i].name for i in known],
                                          covariance[np.ix_(known, known)])
     to = max(float(segment.start.max()) for segment in data)
     return dataclasses.replace(_with(guess, found.x), identified_to=to, correlation=together), evidence

@@ -28,8 +28,8 @@ from estimation.transfer.homing_fit import lag_compensated
 from physics import end_discrepancy, inverse
 from physics.calibration import Calibration
 from physics.end_discrepancy import EndDiscrepancy
+from physics.forward.path_constants import INDEX, SESSION_SD
 from physics.laws import Array
-from physics.path_constants import INDEX, SESSION_SD
 
 LOWPASS_HZ: Final = 25.0
 """Zero-phase low-pass of both estimates of END: above it END's noise is larger than what friction changes."""

@@ -22,11 +22,11 @@ from estimation.transfer.homing_fit import lag_compensated
 from physics import inverse, laws, stretch
 from physics.calibration import Calibration, ScalarEvidence, nominal
 from physics.conversions import UNRELATED, converted, to_scalars
-from physics.force_path import KNEE_RAD
+from physics.forward.force_path import KNEE_RAD
+from physics.forward.path_constants import LOAD_PER_STEP
+from physics.forward.path_parameters import simulation_values
 from physics.laws import Array
 from physics.parameters import PARAMETERS
-from physics.path_constants import LOAD_PER_STEP
-from physics.path_parameters import simulation_values
 
 Values = Mapping[str, float]
 

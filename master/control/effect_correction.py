@@ -21,10 +21,10 @@ from physics import inverse
 from physics.calibration import Calibration, scalars
 from physics.conversions import MEASURABLE, from_scalars, to_scalars
 from physics.effects.catalogue import CATALOGUE, Trajectory, Values, compensate, complete
-from physics.effects.term_inverse import undone
+from physics.effects.compensation import undone
 from physics.laws import Array
 from physics.parameters import BY_PLANT
-from physics.plant.leg import KNEE_AT_FIT
+from physics.plant.components import KNEE_AT_FIT
 from physics.terms import Term
 
 Effects = Mapping[str, Values]

@@ -176,10 +176,6 @@ def home(
     return HomingResult(0.5 * abs(at[0] - at[1]), day._replace(start_offset_n=reading))
 
 
-def _slack(inputs: Inputs) -> bool:
-    return inputs.start_n < SLACK_N
-
-
 def swing_held(
     exchange: Exchange, rope_per_knee: float, force_n: float, angles: Iterable[float],
     seen: Callable[[Inputs], None] = lambda _: None,
@@ -253,7 +249,8 @@ def _loop(exchange: Exchange, homing: Homing) -> tuple[list[Row], list[Row]]:
     released: list[Row] = []
     moves.reel(exchange, homing.rope_m_s, lambda inputs: inputs.start_n > homing.top_n, homing.reach_m,
                "the rope does not tighten; take up its slack by hand", _into(pulled))
-    moves.reel(exchange, -homing.rope_m_s, _slack, homing.reach_m, "the rope does not go slack; tare START",
+    moves.reel(exchange, -homing.rope_m_s, lambda inputs: inputs.start_n < SLACK_N, homing.reach_m,
+               "the rope does not go slack; tare START",
                _into(released))
     return pulled, released
 

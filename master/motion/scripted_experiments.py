@@ -25,7 +25,10 @@ from master.network.link import Link
 from master.settings import Homing
 from parameters import InputError
 from physics.calibration import Calibration
-from physics.effects.experiment_motions import (
+from physics.effects.separating_experiments import (
+    EXPERIMENTS,
+    SCRIPTED,
+    SLACK_M,
     Dither,
     Hold,
     Knee,
@@ -37,7 +40,6 @@ from physics.effects.experiment_motions import (
     Swing,
     Wind,
 )
-from physics.effects.separating_experiments import EXPERIMENTS, SCRIPTED, SLACK_M
 
 REACH_M: Final = 0.12
 """Rope, m, within which a pull must tighten and a release must slacken."""

@@ -84,14 +84,10 @@ def drive_limits(wire: WireLayout, limits: Limits) -> dict[int, list[DriveLimit]
     """
     found = {}
     for node in wire.drives:
-        wanted = _of_rope(wire, node, limits) if _is_rope(wire, node) else _of_joint(wire, node, limits)
         entry = wire.nodes[node]
+        wanted = (_of_rope if isinstance(entry.fitting, ServoMapping) else _of_joint)(wire, node, limits)
         found[node] = [limit for one in wanted if (limit := _made(entry, one)) is not None]
     return found
-
-
-def _is_rope(wire: WireLayout, node: int) -> bool:
-    return isinstance(wire.nodes[node].fitting, ServoMapping)
 
 
 def _of_rope(wire: WireLayout, node: int, limits: Limits) -> Iterator[_LimitTarget]:

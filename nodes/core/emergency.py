@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from eds.cia301 import SERVICES, Abort, Emcy, ErrorRegister, Frame, NmtState, Service
-from eds.datatype import Value
 from eds.dictionary import key
 from nodes.core import cob_id
 from nodes.core.parts import FAR_NS, US, Part
@@ -40,7 +39,9 @@ class Emergency(Part):
         self._pending: deque[bytes] = deque(maxlen=QUEUE)
         self._free_ns = 0
         self._depth = sum(1 for sub in range(1, 255) if key(HISTORY, sub) in device.objects.entries)
-        self.checks = {HISTORY: _check_history, COB_ID: lambda _, value: cob_id.check(device, key(COB_ID), int(value))}
+        # only 0 may be written to 0x1003:00, which clears the history (CiA 301, 7.5.2.4)
+        self.checks = {HISTORY: lambda _, value: None if value == 0 else Abort.INVALID_VALUE,
+                       COB_ID: lambda _, value: cob_id.check(device, key(COB_ID), int(value))}
         self.applied = {HISTORY: lambda _sub, _value, _now: self._forget()}
 
     @property
@@ -52,7 +53,8 @@ class Emergency(Part):
         """Clear communication errors and pending messages; a device error survives a communication reset."""
         self._pending.clear()
         self._free_ns = now_ns
-        self._active = {at: bits for at, bits in self._active.items() if not _of_communication(at[0])}
+        # 81xxh and 82xxh are errors of communication (CiA 301, table 26)
+        self._active = {at: bits for at, bits in self._active.items() if at[0] >> 8 not in (0x81, 0x82)}
         self._show_register()
         self._forget()
 
@@ -136,12 +138,3 @@ class Emergency(Part):
             values.pop(key(HISTORY, sub), None)
         if self._depth:
             values[key(HISTORY)] = 0
-
-
-def _check_history(_subindex: int, value: Value) -> Abort | None:
-    """Check a write to 0x1003:00: only 0, which clears the history (CiA 301, 7.5.2.4)."""
-    return None if value == 0 else Abort.INVALID_VALUE
-
-
-def _of_communication(code: int) -> bool:
-    return code >> 8 in (0x81, 0x82)

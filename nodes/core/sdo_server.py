@@ -41,12 +41,8 @@ class SdoServer(Part):
         self._device = device
         self._transfer: Transfer | None = None
         self._silent_ns = FAR_NS
-        self._initiate = {
-            1: self._download,
-            2: self._upload,
-            5: self._block_upload,
-            6: self._block_download,
-        }
+        # client command specifiers (CiA 301, 7.2.4.3)
+        self._initiate = {1: self._download, 2: self._upload, 5: self._block_upload, 6: self._block_download}
 
     def reset(self, now_ns: int) -> None:
         """Discard a transfer in progress."""

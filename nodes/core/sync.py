@@ -38,7 +38,8 @@ class Sync(Part):
         self._counter = 0
         self._due_ns = FAR_NS
         self.checks = {COB_ID: lambda _, value: cob_id.check_sync(device, key(COB_ID), int(value)),
-                       PERIOD: _check_period, OVERFLOW: self._check_overflow}
+                       OVERFLOW: self._check_overflow, PERIOD: lambda _, value: (
+                           Abort.TOO_LOW if 0 < int(value) < SHORTEST_PERIOD_US else None)}
         self.applied = dict.fromkeys((COB_ID, PERIOD, WINDOW, OVERFLOW), self._applied)
         self._configure()
 
@@ -130,7 +131,3 @@ class Sync(Part):
         if value == 1 or int(value) > SYNC_MAX:
             return Abort.INVALID_VALUE
         return Abort.DEVICE_STATE if self._device.objects.number(key(PERIOD)) else None
-
-
-def _check_period(_subindex: int, value: Value) -> Abort | None:
-    return Abort.TOO_LOW if 0 < int(value) < SHORTEST_PERIOD_US else None

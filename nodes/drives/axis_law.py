@@ -14,13 +14,13 @@ import numpy as np
 from numba import njit
 
 from physics import drive_loops
-from physics.drive_loops import loop, velocity_loop
+from physics.drive_loops import GAINS, LOOP_STATES, loop, velocity_loop
 
 POSITION_INTEGRAL, VELOCITY_INTEGRAL, SATURATED, FOLLOWING, VELOCITY_DEMAND, SPEED_LOW, SPEED_HIGH, LIMITED, YIELDING, \
     TIME_NS, POSITION, VELOCITY, TORQUE, DEMAND, RAMP, TARGET, FRESH, SEGMENT_VELOCITY, SEGMENT_LEFT_S, FOLLOWING_S, \
     STILL_S, STOP_LEFT_S, START, TENSION, TENSION_AGE_S, FREE_HIGH, TENSION_HIGH, POSITION_BEFORE, APART, GAINED, \
     EVENTS, STATES = range(32)
-"""Slots of `s`, the first five `physics.drive_loops.LOOP`; `STATES` is their number."""
+"""Slots of `s`, the first five those of `physics.drive_loops`; `STATES` is their number."""
 
 KP, KI, KV, KVI, TORQUE_BOUND, SPEED_MAX, FEED_FORWARD, VELOCITY_OFFSET, TORQUE_OFFSET, TORQUE_MAX, TORQUE_HIGH, \
     TORQUE_LOW, UNTRUSTED_TORQUE, HOLD_TORQUE, MODE, PERIOD_S, LOW, HIGH, RESOLUTION, WINDOW, WINDOW_S, \
@@ -28,9 +28,6 @@ KP, KI, KV, KVI, TORQUE_BOUND, SPEED_MAX, FEED_FORWARD, VELOCITY_OFFSET, TORQUE_
     HOMING_ACCELERATION, TRAVEL, TARGET_VELOCITY, TARGET_TORQUE, RAW_PER_SI, ORIGIN, MILLE_PER_NM, \
     APART_LIMIT, GAINED_LIMIT, SETTINGS = range(39)
 """Slots of `g`, the first six those of `physics.drive_loops.Gains`; `SETTINGS` is their number."""
-
-LOOP_STATES: Final = len(drive_loops.LOOP)
-GAINS: Final = 6
 
 OFF, FOLLOW, SPEED, PUSH, STOP, TIGHTEN = range(6)
 """Values of `g[MODE]`: no torque; follow positions; follow a velocity; give a torque; brake; wind in to a tension."""

@@ -237,7 +237,7 @@ class GenericDrive(Application):
         if self.mode is Mode.PROFILE_POSITION and self._goal is not None:
             way = self._goal - self.position
             braking = math.sqrt(2.0 * self._acceleration(True) * abs(way))
-            return math.copysign(min(self._speed(0x6081), max(braking, 1.0)), way)
+            return math.copysign(min(float(self._number(0x6081)) or VELOCITY, max(braking, 1.0)), way)
         if self.mode in (Mode.PROFILE_VELOCITY, Mode.CSV):
             return float(self._number(0x60FF) + (self._number(0x60B1) if self.mode is Mode.CSV else 0))
         if self.mode in (Mode.CST, Mode.PROFILE_TORQUE):
@@ -246,9 +246,6 @@ class GenericDrive(Application):
 
     def _torque(self) -> int:
         return self._number(0x6071) + (self._number(0x60B2) if self.mode is Mode.CST else 0)
-
-    def _speed(self, index: int) -> float:
-        return float(self._number(index)) or VELOCITY
 
     def _acceleration(self, braking: bool) -> float:
         if self.state is State.QUICK_STOP_ACTIVE and self._number(0x6085):

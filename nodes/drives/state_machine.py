@@ -88,7 +88,7 @@ class StateMachine(Application):
         """Take the row of the table for `event` in this state, if its guard permits; its option code may brake first.
         """
         row = STEP.get((self.state, event))
-        if row is None or not self._may(row):
+        if row is None or (row.number in GUARDS and not GUARDS[row.number].holds(self)):
             return
         option = _OPTION.get(row.number)
         if option is None or not self.number(option) or not self.axis.on:
@@ -96,10 +96,6 @@ class StateMachine(Application):
         elif self._leaving is not row:
             self._leaving = row
             self.brake(Stop.SLOW_DOWN_RAMP, lambda now: self._take(row, now))
-
-    def _may(self, row: Transition) -> bool:
-        guard = GUARDS.get(row.number)
-        return guard is None or guard.holds(self)
 
     def _take(self, row: Transition, now_ns: int) -> None:
         self.state, self._leaving = row.target, None

@@ -84,7 +84,8 @@ class TensionSensor(Application):
     def written(self, key: int, value: Value, now_ns: int) -> None:
         """Apply a setting; a write to 0x6125 zeroes the present value."""
         if key == AUTOZERO:
-            self.values[OFFSET] = real32(self._real(OFFSET) - self._process(self._mean))
+            self.values[OFFSET] = real32(
+                self._real(OFFSET) - float(self._mean * self.channel[law.FACTOR] + self.channel[law.SHIFT]))
         elif key in _LINKED.values():
             self._take_spans()
         elif key in _LINKED or key == DECIMALS:
@@ -208,9 +209,6 @@ class TensionSensor(Application):
     @property
     def _mean(self) -> float:
         return float(self.channel[law.MEAN])
-
-    def _process(self, mean: float) -> float:
-        return float(mean * self.channel[law.FACTOR] + self.channel[law.SHIFT])
 
     # ---- what a steady cycle needs ----
 

@@ -1,7 +1,8 @@
 """The catalogue of effects, for plant, compensation, diagnosis, report and `docs/effects.md`.
 
 An effect is declared once, in `physics.effects.declarations` or at run time by `register`; readers of the catalogue
-name no effect in their own code.
+name no effect in their own code. A file states effects as `[effects.NAME]`, each parameter as a number, or as a table
+that has a `value`; what else stands beside a value (interval, unit) is evidence and not read here.
 """
 
 from __future__ import annotations
@@ -10,27 +11,17 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from parameters import InputError
 from physics.converter import SensorParameters
 from physics.effects.declarations import EFFECTS
 from physics.effects.effect import Effect, EffectParameter, Trajectory, Values, unchanged, value_of
+from physics.older_files import current_names
 from physics.plant.state_layout import PlantParameters
 
-__all__ = [
-    "CATALOGUE",
-    "Effect",
-    "EffectParameter",
-    "Trajectory",
-    "Values",
-    "apply",
-    "compensate",
-    "register",
-    "registered",
-    "unchanged",
-    "value_of",
-]
+__all__ = ["CATALOGUE", "Effect", "EffectParameter", "Trajectory", "Values", "apply", "compensate", "register",
+           "registered", "unchanged", "value_of"]
 
 BUS: Final = frozenset({"late_s", "late_share", "lost_share"})
 TABLES: Final[Mapping[str, frozenset[str]]] = {
@@ -40,6 +31,9 @@ TABLES: Final[Mapping[str, frozenset[str]]] = {
     "bus": BUS,
 }
 """Parameters that a forward submodel may set, by table of a plant model."""
+EFFECTS_TABLE: Final = "effects"
+EVIDENCE: Final = "found"
+"""Name of the table with the data that the effects were found on."""
 
 _effects: Final[dict[str, Effect]] = {}
 CATALOGUE: Final[Mapping[str, Effect]] = MappingProxyType(_effects)
@@ -118,6 +112,43 @@ def complete(name: str, given: Values) -> dict[str, float]:
             )
     absent = {p.name: sum(p.likely) / 2.0 if p.neutral is None else p.neutral for p in known.values()}
     return {**absent, **given}
+
+
+def stated(given: Mapping[str, Any], where: str) -> dict[str, dict[str, float]]:
+    """Return the effects that a file states, name → parameter → value, SI; {} if it has no such table.
+
+    Raises `InputError`, beginning with `where`, for an unknown effect or parameter, text in place of a number, or a
+    value out of bounds. Effects found on another rig than the bench of this catalogue are refused, too.
+    """
+    table = given.get(EFFECTS_TABLE, {})
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where}: {EFFECTS_TABLE} is not a table; write [{EFFECTS_TABLE}.NAME] with the effect's "
+                         "parameters.")
+    evidence = given.get(EVIDENCE, {})
+    if table and isinstance(evidence, Mapping) and evidence.get("reference") == "none":
+        raise InputError(
+            f"{where}: found on a rig that no calibration fits; give effects that were found on a bench like this one.")
+    found = {name: _values(name, row, where) for name, row in table.items()}
+    for name, values in found.items():
+        try:
+            complete(name, values)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+    return found
+
+
+def _values(name: str, row: Any, where: str) -> dict[str, float]:
+    if not isinstance(row, Mapping):
+        raise InputError(f"{where}: {EFFECTS_TABLE}.{name} = {row!r} is not a table; write [{EFFECTS_TABLE}.{name}] "
+                         "and its parameters.")
+    values = {}
+    for key, cell in current_names(row, f"{where} [{EFFECTS_TABLE}.{name}]").items():
+        value = cell.get("value") if isinstance(cell, Mapping) else cell
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"{where}: {EFFECTS_TABLE}.{name}.{key} = {cell!r} is no number; give one, or "
+                             "{ value = … }.")
+        values[key] = float(value)
+    return values
 
 
 for _effect in EFFECTS:

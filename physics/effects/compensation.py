@@ -1,4 +1,4 @@
-"""Inverses of effects: the trajectory that a controller should lead so that an effect does not reach END.
+"""Inverses of effects and terms: the trajectory that a controller should lead so that an effect does not reach END.
 
 An effect without one here (of END, of the drive's force) is nothing that START, rope and knee can undo.
 """
@@ -6,17 +6,17 @@ An effect without one here (of END, of the drive's force) is nothing that START,
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
 from physics.effects.effect import Trajectory, Values
 from physics.laws import Array
-from physics.memory_laws import crept, slipped
-from physics.plant.cable import CableParameters
-from physics.plant.fabric import FabricParameters
-from physics.plant.leg import KNEE_AT_FIT, LegParameters
-from physics.plant.motor import ServoParameters
+from physics.path_laws import crept, slipped
+from physics.plant.components import KNEE_AT_FIT, CableParameters, FabricParameters, LegParameters, ServoParameters
+from physics.plant.modulated import KNEE_RAD, LATER
+from physics.terms import Course, Term
 
 CABLE: Final = CableParameters()
 FABRIC: Final = FabricParameters()
@@ -117,3 +117,44 @@ def start_drift(course: Trajectory, values: Values) -> Trajectory:
 
 def skew(course: Trajectory, values: Values) -> Trajectory:
     return course._replace(lead_s=course.lead_s + values["timestamp_skew"])
+
+
+Undo = Callable[[Trajectory, Array], Trajectory]
+
+
+def _factor(name: str) -> Undo:
+    return lambda met, added: met._replace(**{name: getattr(met, name) * (1.0 + added)})
+
+
+def _summand(name: str, of: Callable[[Trajectory, Array], Array]) -> Undo:
+    return lambda met, added: met._replace(**{name: getattr(met, name) + of(met, added)})
+
+
+UNDONE: Final[Mapping[str, Undo]] = {
+    "cable": _factor("cable_exponent"),
+    "fabric": _factor("fabric_exponent"),
+    "stiffness": lambda met, added: met._replace(stretch_m=met.stretch_m / np.maximum(1.0 + added, 0.05)),
+    "zero": _summand("rope_extra_m", lambda met, added: added),
+    "arm": _summand("rope_extra_m", lambda met, added: added * (met.knee_rad - KNEE_RAD)),
+    "dry": _summand("start_extra_n", lambda met, added: added * met.rope_slip),
+    "viscous": _summand("start_extra_n", lambda met, added: added * met.rope_m_s),
+    "start_gain": _factor("start_gain"),
+    "start_offset": _summand("start_offset_n", lambda met, added: added),
+}
+"""Correction that each carrier needs: what a controller can do by START, rope and knee.  END is no input of it."""
+
+
+def undone(met: Trajectory, terms: Sequence[Term], samples: int) -> Trajectory:
+    """Return the corrections with `terms`; `samples`: of a gait cycle, for the gait's phase.
+
+    Terms of END and of the drive need none; modulations by time have their value in a later trial.
+    """
+    phase = np.asarray(np.arange(met.time_s.size) % samples / samples)
+    course = Course(met.time_s, met.rope_m, met.rope_m_s, met.tension_n, met.knee_rad, phase)
+    for term in terms:
+        if term.carrier not in UNDONE or term.modulation == "time_sine":
+            continue
+        later = LATER.get(term.modulation)
+        added = term.course(course) if later is None else np.full(met.time_s.size, later * term.size)
+        met = UNDONE[term.carrier](met, added)
+    return met

@@ -1,7 +1,7 @@
 """Hypotheses of the catalogue: the parameters that each effect frees in the forward model, and its part of the bench.
 
-An effect is a hypothesis: it adds prior variance along directions in the space of `physics.path_constants`. One entry
-a variant; variants of an effect (time constants, drum radii, kinds of backlash) have one name.
+An effect is a hypothesis: it adds prior variance along directions in the space of `physics.forward.path_constants`. One
+entry a variant; variants of an effect (time constants, drum radii, kinds of backlash) have one name.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
-from physics.force_path import KNEE_RAD
-from physics.path_constants import LOAD_PER_STEP, PRESLIDING
-from physics.path_parameters import stretch_of
+from physics.forward.force_path import KNEE_RAD
+from physics.forward.path_constants import LOAD_PER_STEP, PRESLIDING
+from physics.forward.path_parameters import stretch_of
 
 Values = Mapping[str, float]
 Read = Callable[[Values, Values], float]

@@ -19,11 +19,10 @@ from typing import Any, Final
 from parameters import InputError, read_toml
 from parameters.plugins import load as plugin
 from physics import expressions
-from physics.effects.carriers import PATH_CARRIERS, site_of
+from physics.effects.carriers import PATH_CARRIERS, SITES, site_of
 from physics.effects.catalogue import CATALOGUE, register
 from physics.effects.effect import Effect, EffectParameter
 from physics.effects.separating_experiments import EXPERIMENTS
-from physics.effects.sites import SITES
 from physics.terms import EXPRESSION, MODULATIONS, Course, Modulation, Term, modulation_of
 
 GROUP: Final = "bowden.effects"

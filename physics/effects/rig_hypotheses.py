@@ -27,9 +27,9 @@ from physics.effects.hypotheses import (
     Values,
     Variant,
 )
-from physics.path_constants import PRESLIDING
-from physics.rig_constants import BETWEEN, LINK, WEIGHT, WEIGHT_ANGLE
-from physics.rig_forces import shares_of
+from physics.forward.path_constants import PRESLIDING
+from physics.forward.rig_constants import BETWEEN, LINK, WEIGHT, WEIGHT_ANGLE
+from physics.forward.rig_forces import shares_of
 
 FAINT: Final = 0.5
 """Ratio of the torque of gravity to the friction below which the axis counts as one without a hanging mass."""

@@ -14,9 +14,9 @@ import numpy as np
 
 from parameters import from_table
 from physics.laws import Array
-from physics.plant import step, truth_row
+from physics.plant import step
+from physics.plant.components import GRAVITY
 from physics.plant.derived import derive, settle
-from physics.plant.leg import GRAVITY
 from physics.plant.modulated import extend
 from physics.plant.state_layout import NODES, SIZE, SLOT, PlantParameters
 from physics.plant.step import STEP_NS
@@ -127,9 +127,9 @@ class BowdenPlant:
 
     def truth(self) -> Mapping[str, float]:
         """Return the true tensions, the slip states and other quantities that no device measures."""
-        row = np.empty(len(truth_row.NAMES))
-        truth_row.truth_row(self._memory, row)
-        return dict(zip(truth_row.NAMES, row.tolist(), strict=True))
+        row = np.empty(len(step.TRUTH_NAMES))
+        step.truth_row(self._memory, row)
+        return dict(zip(step.TRUTH_NAMES, row.tolist(), strict=True))
 
     def adopt(self, memory: Array) -> None:
         """Move the whole state into this memory of `state_layout.SIZE` numbers."""

@@ -12,8 +12,7 @@ from typing import Any
 from numba import njit
 
 from physics.path_laws import capstan_share, load_dependence, presliding_step, stribeck
-from physics.plant.cable import spring
-from physics.plant.fabric import strap
+from physics.plant.components import spring, strap
 from physics.plant.state_layout import CABLE_NODES, FABRIC_NODES, NODES, SLOT
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from parameters import InputError
 from physics.laws import Array
 from physics.path_laws import TANGENT_FROM
-from physics.plant.leg import anchor
+from physics.plant.components import anchor
 from physics.plant.state_layout import (
     CABLE_NODES,
     ELEMENTS,

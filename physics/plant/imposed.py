@@ -21,8 +21,8 @@ from parameters import InputError
 from physics.laws import Array
 from physics.plant import step
 from physics.plant.chain import creep, refresh_friction, slide, tensions
+from physics.plant.components import GRAVITY, anchor
 from physics.plant.derived import derive, settle
-from physics.plant.leg import GRAVITY, anchor
 from physics.plant.modulated import extend, modulate
 from physics.plant.state_layout import CABLE_NODES, NODES, SIZE, SLOT, PlantParameters
 from physics.plant.step import SLOW, digest

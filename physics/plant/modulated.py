@@ -91,9 +91,9 @@ def factor(m: Any, first: int, seconds: float, dt: float) -> float:
     elif code == SATURATION:
         value = a * max(tension - p0, 0.0) / TENSION_N
     elif code == KNEE:
-        value = a * (knee + 0.5)
+        value = a * (knee - KNEE_RAD)
     elif code == KNEE_SQUARED:
-        value = a * (knee * knee - 0.25)
+        value = a * (knee * knee - KNEE_RAD * KNEE_RAD)
     elif code == KNEE_BUMP:
         value = a * math.exp(-0.5 * ((knee - p0) / p1) ** 2)
     elif code == DIRECTION:
@@ -109,6 +109,14 @@ def factor(m: Any, first: int, seconds: float, dt: float) -> float:
         m[first + 9] += -math.expm1(-dt / p0) * (tension - m[first + 9])
         value = a * m[first + 9] / TENSION_N
     return float(value)
+
+
+@njit(inline="always")
+def _since_last(m: Any, first: int, whole: float) -> float:
+    """Return the factor by which values that are `whole`, at least 0.05, of their own are to change, and keep it."""
+    now, before = max(whole, 0.05), m[first + 10]
+    m[first + 10] = now
+    return float(now / before if before > 0.0 else now)
 
 
 @njit(inline="always")
@@ -136,8 +144,7 @@ def modulate(m: Any, seconds: float, dt: float) -> None:
         elif target == FREE:
             m[SLOT.free] += change
         elif target == STIFFNESS:
-            share = max(whole, 0.05) / m[first + 10] if m[first + 10] > 0.0 else max(whole, 0.05)
-            m[first + 10] = max(whole, 0.05)
+            share = _since_last(m, first, whole)
             m[SLOT.k_lead] *= share
             m[SLOT.k_segment] *= share
             for e in range(ELEMENTS):
@@ -148,8 +155,7 @@ def modulate(m: Any, seconds: float, dt: float) -> None:
             for i in range(1, CABLE_NODES + 1):
                 m[SLOT.drag + i] = max(m[SLOT.drag + i] + change, 0.0)
         elif target == TRAVEL:
-            share = max(whole, 0.05) / m[first + 10] if m[first + 10] > 0.0 else max(whole, 0.05)
-            m[first + 10] = max(whole, 0.05)
+            share = _since_last(m, first, whole)
             for i in range(1, CABLE_NODES + 1):
                 m[SLOT.inverse_delta + i] /= share
         elif target == START_GAIN:

@@ -11,10 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from parameters import declarations
-from physics.plant.cable import CableParameters
-from physics.plant.fabric import FabricParameters
-from physics.plant.leg import LegParameters
-from physics.plant.motor import ServoParameters
+from physics.plant.components import CableParameters, FabricParameters, LegParameters, ServoParameters
 
 CABLE_NODES: Final = 6
 FABRIC_NODES: Final = 5

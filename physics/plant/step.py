@@ -1,8 +1,7 @@
-"""The plant's compiled step: drive, rope path, knee drive and leg, 10 µs at a time.
+"""The plant's compiled step (drive, rope path, knee drive and leg, 10 µs at a time), and the row of its true signals.
 
-The rule of this file: semi-implicit Euler (velocities first, then positions), one flat array in and out,
-nothing else.  numba's cache does not see a change in an imported module, so the sources' digest is a constant of the
-compiled function.
+Semi-implicit Euler (velocities first, then positions), one flat array in and out, nothing else. numba's cache does not
+see a change in an imported module, so the sources' digest is a constant of the compiled functions.
 """
 
 from __future__ import annotations
@@ -16,10 +15,9 @@ from numba import njit
 
 from physics.path_laws import presliding_step, stribeck
 from physics.plant.chain import creep, refresh_friction, slide, tensions
-from physics.plant.leg import GRAVITY, anchor, knee_limit, reducer
+from physics.plant.components import GRAVITY, anchor, current_step, knee_limit, reducer, supply
 from physics.plant.modulated import modulate
-from physics.plant.motor import current_step, supply
-from physics.plant.state_layout import CABLE_NODES, NODES, SLOT
+from physics.plant.state_layout import CABLE_NODES, FABRIC_NODES, NODES, SLOT
 
 STEP_NS: Final = 10_000
 STEP_S: Final = STEP_NS * 1e-9
@@ -106,7 +104,15 @@ def step(m: Any, demand_a: float, knee_nm: float) -> None:
     knee(m, knee_nm, (m[SLOT.tension + NODES] + m[SLOT.leg_friction]) * lever)
 
 
-def _compile(sources: int) -> Any:
+TRUTH_NAMES: Final = (
+    "true_start_n", "true_cable_end_n", "true_end_n", "true_knee_angle_rad", "true_knee_velocity_rad_s",
+    "true_knee_motor_rad", "true_servo_position_m", "true_servo_velocity_m_s", "true_current_a", "true_supply_v",
+    "true_cable_slip", "true_fabric_slip", "true_creep_m",
+)
+"""True signals that no device measures, in the order of a row of the truth file."""
+
+
+def _compile(sources: int) -> tuple[Any, Any]:
     @njit(cache=True, error_model="numpy")
     def advance(m: Any, steps: int, servo_nm: float, knee_nm: float) -> None:
         _ = sources
@@ -129,12 +135,26 @@ def _compile(sources: int) -> Any:
         end = m[SLOT.tension + NODES] + m[SLOT.end_mass_kg] * carried
         m[SLOT.out_end] = m[SLOT.term_end_gain] * end + m[SLOT.term_end_n]
 
-    return advance
+    @njit(cache=True)
+    def truth_row(m: Any, row: Any) -> None:
+        _ = sources
+        cable = fabric = 0.0
+        for i in range(CABLE_NODES):
+            cable += m[SLOT.s + 1 + i]
+        for i in range(FABRIC_NODES):
+            fabric += m[SLOT.s + CABLE_NODES + 1 + i]
+        row[0], row[1], row[2] = m[SLOT.tension], m[SLOT.tension + CABLE_NODES], m[SLOT.tension + NODES]
+        row[3], row[4], row[5] = m[SLOT.leg_q], m[SLOT.leg_w], m[SLOT.motor_q]
+        row[6], row[7] = m[SLOT.servo_x] + m[SLOT.encoder_zero_m], m[SLOT.servo_v]
+        row[8], row[9] = m[SLOT.current], m[SLOT.bus_v]
+        row[10], row[11], row[12] = cable / CABLE_NODES, fabric / FABRIC_NODES, m[SLOT.creep]
+
+    return advance, truth_row
 
 
 SOURCES: Final = (
-    "expressions", "laws", "parameters", "path_laws", "terms", "plant/motor", "plant/cable", "plant/fabric",
-    "plant/leg", "plant/state_layout", "plant/chain", "plant/modulated", "plant/step",
+    "expressions", "laws", "parameters", "path_laws", "terms", "plant/components", "plant/state_layout", "plant/chain",
+    "plant/modulated", "plant/step",
 )
 
 
@@ -145,5 +165,7 @@ def digest() -> int:
     return int.from_bytes(hashlib.sha256(text).digest()[:7], "big")
 
 
-advance: Final[Any] = _compile(digest())
-"""advance(memory, steps, servo torque in N·m, knee torque in N·m): advance the whole bench by `steps` of 10 µs."""
+advance, truth_row = _compile(digest())
+"""`advance(memory, steps, servo torque in N·m, knee torque in N·m)`: advance the whole bench by `steps` of 10 µs.
+
+`truth_row(memory, row)`: write the values of `TRUTH_NAMES` into `row`."""

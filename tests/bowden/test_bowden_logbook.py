@@ -22,7 +22,7 @@ from estimation.linear_sums import SessionSums, Sums
 from logbook import database
 from logbook.bench_state import CANNOT, CONSTANTS, SET_SHARE, UNCHANGED, Cause, constants_of, enter_cause
 from logbook.database import NewTrial, open_logbook
-from physics.path_constants import FREE, SESSION_SD
+from physics.forward.path_constants import FREE, SESSION_SD
 
 DAYS = 3
 PUBLISHED = SESSION_SD[list(FREE)]

@@ -13,7 +13,7 @@ import pytest
 from diagnosis.evidence.experiment_prediction import motion_of
 from estimation.path_model import PATH_MODEL
 from physics.effects.separating_experiments import EXPERIMENTS
-from physics.path_constants import TABLE
+from physics.forward.path_constants import TABLE
 
 GAIT = ("--cycles", "3", "--period", "1.2", "--serial", "3")
 

@@ -19,11 +19,11 @@ from estimation.data.table import Table, table
 from estimation.likelihood_data import GRID_S
 from estimation.path_model import PATH_MODEL
 from estimation.posterior import PosteriorMode
-from physics import force_path
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import ELSEWHERE, HYPOTHESES, PARTS
-from physics.path_constants import FREE, INDEX, NAMES, PATH_ROWS, TABLE, coordinates_of, named, values
-from physics.path_parameters import simulation_values
+from physics.forward import force_path
+from physics.forward.path_constants import FREE, INDEX, NAMES, PATH_ROWS, TABLE, coordinates_of, named, values
+from physics.forward.path_parameters import simulation_values
 from tests.hidden.family import Job, case
 from tests.plants.draws import set_aside, structure
 

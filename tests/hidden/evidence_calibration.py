@@ -32,8 +32,8 @@ from estimation.data.table import table
 from estimation.path_model import PATH_MODEL
 from estimation.posterior import mode
 from physics.effects.hypotheses import HYPOTHESES
+from physics.forward.path_constants import FREE, NAMES, SESSION_SD
 from physics.laws import Array
-from physics.path_constants import FREE, NAMES, SESSION_SD
 from tests.hidden import truths, truths_run
 from tests.hidden.family import Job, case, session
 from tests.hidden.family_jobs import KINDS, jobs, serials

@@ -112,7 +112,7 @@ def right_parts(effect: str) -> set[str]:
 
 
 def _middle() -> dict[str, float]:
-    from physics.path_constants import CONSTANTS
+    from physics.forward.path_constants import CONSTANTS
 
     return CONSTANTS.named(np.zeros(len(CONSTANTS)))
 

@@ -21,8 +21,7 @@ from master.motion.experiment_run import ExperimentSetup, run
 from master.network.link import Link
 from physics.calibration import Calibration, nominal
 from physics.effects.catalogue import CATALOGUE
-from physics.plant.cable import CableParameters
-from physics.plant.leg import KNEE_AT_FIT
+from physics.plant.components import KNEE_AT_FIT, CableParameters
 from physics.reference import paper_reference
 from trial import read
 from trial.metrics import figures

@@ -8,9 +8,11 @@ import pytest
 from physics import laws
 from physics.drive_loops import (
     DRIVE_TICK_NS,
+    FOLLOWING_ERROR,
     KNEE_GAINS,
-    LOOP,
+    LIMITED,
     SERVO_GAINS,
+    VELOCITY_DEMAND,
     loop,
     loop_state,
     velocity_loop,
@@ -74,7 +76,7 @@ def test_torque_limit_is_kept_and_does_not_wind_up() -> None:
     state, gains = loop_state(), SERVO_GAINS.vector()
     for _ in range(4000):
         assert abs(loop(state, gains, 0.0, 0.0, 1.0, 0.0, TICK_S)) <= SERVO_GAINS.torque_limit
-    assert state[LOOP.limited] == 1.0
+    assert state[LIMITED] == 1.0
     # one tick after the error is gone the demand is what a fresh loop would ask, up to what was left in the integrals
     assert loop(state, gains, 1.0, 0.0, 1.0, 0.0, TICK_S) == pytest.approx(0.0, abs=0.02 * SERVO_GAINS.torque_limit)
 
@@ -82,8 +84,8 @@ def test_torque_limit_is_kept_and_does_not_wind_up() -> None:
 def test_velocity_demand_is_limited() -> None:
     state, gains = loop_state(), SERVO_GAINS.vector()
     loop(state, gains, 0.0, 0.0, -5.0, 0.0, TICK_S)
-    assert state[LOOP.velocity_demand] == -SERVO_GAINS.velocity_limit
-    assert state[LOOP.following_error] == -5.0
+    assert state[VELOCITY_DEMAND] == -SERVO_GAINS.velocity_limit
+    assert state[FOLLOWING_ERROR] == -5.0
 
 
 def test_velocity_loop_brakes_to_rest() -> None:

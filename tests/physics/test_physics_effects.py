@@ -20,9 +20,9 @@ from physics.effects.catalogue import (
     registered,
     value_of,
 )
-from physics.effects.catalogue_page import page
 from physics.effects.separating_experiments import EXPERIMENTS
 from physics.plant.state_layout import PlantParameters
+from tests.physics.effects_page import page
 
 FIRST_EDITION = (
     "cable_friction fabric_friction fabric_wrap cable_bend load_dependent_friction viscous_friction stribeck "

@@ -15,11 +15,10 @@ from physics import calibration
 from physics.calibration import Calibration
 from physics.conversions import MEASURED, RELATED, SIMULATED, UNRELATED, converted, from_scalars, to_scalars
 from physics.converter import SensorParameters
-from physics.effects.catalogue import CATALOGUE
-from physics.effects.effects_table import stated
+from physics.effects.catalogue import CATALOGUE, stated
+from physics.forward.path_constants import TABLE
 from physics.older_files import FORCE_PATH, RENAMED
 from physics.parameters import BY_PLANT, CALIBRATED, ESTIMATED, PARAMETERS
-from physics.path_constants import TABLE
 from physics.plant.state_layout import PlantParameters
 from virtual_bus.machine import plant_model
 from virtual_bus.machine.scatter import LAWS

@@ -9,9 +9,9 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from physics.forward.path_constants import CONSTANTS, INDEX, values
+from physics.forward.path_outputs import PathMotion, drive_force, end_reading
 from physics.laws import Array
-from physics.path_constants import CONSTANTS, INDEX, values
-from physics.path_outputs import PathMotion, drive_force, end_reading
 
 STEP_S = 4e-3
 TIME_S: Array = STEP_S * np.arange(400, dtype=np.float64)

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from parameters import InputError, declarations
 from physics.plant.bench_plant import NOMINAL, BowdenPlant, PlantParameters, create
-from physics.plant.leg import KNEE_AT_FIT
+from physics.plant.components import KNEE_AT_FIT
 from physics.plant.state_layout import CABLE_NODES, NODES, SLOT
 
 SERVO_NM, KNEE_NM = 0.8, -1.2

@@ -9,8 +9,7 @@ import pytest
 
 from parameters import InputError
 from physics import laws
-from physics.closure import CYCLE_POINTS
-from physics.reference import Reference, paper_reference, recorded_angle, recorded_force
+from physics.reference import CYCLE_POINTS, Reference, paper_reference, recorded_angle, recorded_force
 
 GAIT = Path(__file__).parents[3] / "shared" / "data" / "gait"
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from physics.effects.carriers import SITES
 from physics.effects.catalogue import CATALOGUE
-from physics.effects.sites import SITES
 from trial.report.bench_drawing import BENCH
 
 

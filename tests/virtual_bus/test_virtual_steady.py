@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 from physics.plant.bench_plant import BowdenPlant, Outputs, create
 from tests.virtual_bus.steady_cases import CASES, Case, ran
-from virtual_bus.compiled import cycle_code as law
 from virtual_bus.compiled.compiled_cycles import SWITCH
 
 FEW = {"lost inputs"}
@@ -33,19 +30,6 @@ def test_every_byte_is_the_same(name: str, tmp_path: Path, monkeypatch: pytest.M
     assert on.reason == off.reason
     assert off.complete_cycles == 0
     assert on.complete_cycles > 100 or name in FEW
-
-
-@pytest.mark.parametrize(("memory", "prefix"), [(law.FLOATS, "F_"), (law.INTEGERS, "")])
-def test_the_constants_of_a_memory_are_where_its_parts_begin(memory: Any, prefix: str) -> None:
-    """A word written through the declared layout is the word that the compiled cycle reads by its constant."""
-    words: Any = np.zeros(memory.itemsize // 8, memory["kept"][0].base)
-    declared = words.view(memory)[0]
-    names = [(half, name) for half in ("kept", "rest") for name in memory[half].names]
-    for number, (half, name) in enumerate(names, 1):
-        declared[half][name] = number
-    starts = [getattr(law, prefix + name.upper()) for _, name in names]
-    assert [int(words[start]) for start in starts] == list(range(1, len(names) + 1))
-    assert all(words[start - 1] != words[start] for start in starts[1:])
 
 
 class Plugged:

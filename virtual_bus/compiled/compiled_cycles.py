@@ -17,7 +17,6 @@ from virtual_bus.bench import Bench
 from virtual_bus.compiled import cycle_code as law
 from virtual_bus.compiled.cycle_arrays import ROW, Arrays, CycleRequest
 from virtual_bus.machine.machine import Machine
-from virtual_bus.wire.host import BowdenMessage
 from virtual_bus.wire.node_station import NodeStation
 from virtual_bus.wire.periodic import PeriodicTask
 from virtual_bus.wire.wire import Wire
@@ -56,7 +55,6 @@ class Steady:
         self.cycles = 0
         self._bench, self._machine, self._kernel = bench, cast(Machine, bench.machine), bench.kernel
         self._arrays = Arrays(bench)
-        self._i = self._arrays.i
         self._foreign_ns = self._span_ns = self._ran = 0
         self._asked: CycleRequest | None = None
         self._sync: PeriodicTask | None = None
@@ -67,38 +65,34 @@ class Steady:
 
         `beat_ns` is when the master's heartbeat is due; the SYNC has to end after `after_ns`.
         """
-        i, arrays = self._i, self._arrays
+        arrays, m, t = self._arrays, self._arrays.m, self._arrays.t
         if not (self.warm or self._enter(asked)):
             return None
-        if asked is not self._asked or i[law.SYNC_NS] + self._span_ns >= self._foreign_ns:
+        if asked is not self._asked or m.sync_ns + self._span_ns >= self._foreign_ns:
             self.leave()
             return None
         arrays.targets[:] = data
-        i[law.LIMIT], i[law.OWN_NS], i[law.AFTER] = self._foreign_ns, beat_ns, after_ns
+        t.limit, m.own_ns, t.after = self._foreign_ns, beat_ns, after_ns
         if law.cycle(*arrays.call) != law.DONE:
             self.leave()
             return None
         self._ran += 1
-        self._kernel.now_ns = now_ns = i[law.NOW]
-        sync_ns, first, end = i[law.SYNC_AT], i[law.FIRST_ROW], i[law.SYNC_ROW]
+        self._kernel.now_ns = now_ns = m.now
+        sync_ns, first, end = m.sync_at, m.first_row, m.sync_row
         self._span_ns = now_ns - sync_ns + SPAN_NS
-        i[law.FIRST_ROW] = end
-        if i[law.TRUTH_ROWS] == law.TRUTHS:
+        m.first_row = end
+        if m.truth_rows == law.TRUTHS:
             arrays.write_truth()
-        beats = self._beats() if i[law.BEATS] or i[law.OWN_AT] >= 0 else ()
-        return CompleteCycle(sync_ns=sync_ns, target_ns=i[law.TARGETS_AT], inputs=arrays.inputs, heartbeats=beats,
+        beats = self._beats() if m.beats or m.own_at >= 0 else ()
+        return CompleteCycle(sync_ns=sync_ns, target_ns=m.targets_at, inputs=arrays.inputs, heartbeats=beats,
                              frames=arrays.rows[ROW * first:ROW * end], frame_count=end - first)
 
     def _beats(self) -> tuple[tuple[int, int, int], ...]:
         """Return the heartbeats of the last cycle."""
-        i, found = self._i, []
-        if i[law.OWN_AT] >= 0:
-            found.append((i[law.OWN_ID], i[law.OWN_AT], i[law.OWN_DATA]))
-        for place in range(law.NODES):
-            ended_ns = i[law.BEAT_NS + 2 * place + 1]
-            if ended_ns >= 0:
-                found.append((i[law.BEAT + 4 * place], ended_ns, i[law.BEAT + 4 * place + 1]))
-        return tuple(found)
+        m, t = self._arrays.m, self._arrays.t
+        own = [(t.own_id, m.own_at, t.own_data)] if m.own_at >= 0 else []
+        return (*own, *((table.can_id, node.beat_end, table.data)
+                        for node, table in zip(m.node, t.node, strict=True) if node.beat_end >= 0))
 
     def leave(self) -> None:
         """Copy the state back to the objects, which continue event by event."""
@@ -140,7 +134,8 @@ class Steady:
             len(host.sockets) == len(sockets) and all(socket in host.sockets for socket in sockets)
             and min(host.limit, *(socket.limit for socket in sockets)) >= ROOM
             and not asked.socket.queue and not asked.socket.own and all(map(asked.socket.accepts, wanted))
-            and (tap is None or (not tap.filters and len(tap.queue) <= WAITING and all(map(_plain, tap.queue))))
+            and (tap is None or (not tap.filters and len(tap.queue) <= WAITING and not any(
+                message.is_extended_id or message.is_remote_frame or message.is_error_frame for message in tap.queue)))
             and {id(station) for station in bench.wire.stations} == stations
             and all(station.deaf_to == _NOBODY for station in bench.wire.stations)
         )
@@ -164,10 +159,6 @@ class Steady:
             foreign_ns = min(foreign_ns, time_ns)
         self._sync, self._foreign_ns = sync, foreign_ns
         return sync is not None and sync.next_ns < foreign_ns
-
-
-def _plain(message: BowdenMessage) -> bool:
-    return not (message.is_extended_id or message.is_remote_frame or message.is_error_frame)
 
 
 def _at_work(device: Device, asked: CycleRequest) -> bool:

@@ -13,14 +13,13 @@ from eds.declaration import PathNodes
 from parameters import InputError, read_toml
 from physics import bench_model
 from physics.effects import catalogue as effects
-from physics.effects import effects_table
 from physics.older_files import current_names
 from physics.terms import Term
 from virtual_bus.machine.scatter import Tables
 from virtual_bus.wire.faults import Fault
 
 WIRE: Final = "bus"
-NAMES: Final = (effects_table.TABLE, WIRE)
+NAMES: Final = (effects.EFFECTS_TABLE, WIRE)
 PATHS: Final = "path"
 """Table of tables that hold for one force path, [path.NAME.…]; the other tables hold for each path."""
 

@@ -107,11 +107,6 @@ def _stuff(bits: list[int]) -> Iterator[int]:
             yield last
 
 
-def _crc_table() -> list[int]:
-    """CRC-15 of each byte."""
-    return [crc15(_digits(octet, 8)) for octet in range(256)]
-
-
 def _stuffed_table(width: int) -> list[int]:
     """Stuff bits of `width` bits by state << 8 | bits: their number << 4 | next state.
 
@@ -130,7 +125,8 @@ def _after(width: int, run: int, last: int, value: int) -> int:
     return count << 4 | (run - 1) << 1 | last
 
 
-_CRC: Final = _crc_table()
+_CRC: Final = [crc15(_digits(octet, 8)) for octet in range(256)]
+"""CRC-15 of each byte."""
 _STUFFED: Final = {width: _stuffed_table(width) for width in (7, 8)}
 _FIRST: Final = {width: [_after(width, -1, -1, octet) for octet in range(256)] for width in (3, 7)}
 """Stuff bits before the first whole byte: a base header has 19 bits, an extended one 39."""

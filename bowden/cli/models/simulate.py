@@ -15,7 +15,7 @@ from parameters.files import write_whole
 if TYPE_CHECKING:
     from estimation.data.table import Table
     from physics.bench_model import BenchModel
-    from physics.simulated_bench import SimulatedTensions
+    from physics.forward.path_parameters import SimulatedTensions
 
 Trial = Annotated[Path, argument("TRIAL", "MCAP, or CSV (.gz) with rope position and knee angle (none: locked).")]
 Model = Annotated[Path | None, option(

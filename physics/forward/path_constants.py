@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from physics import force_path
-from physics.constant_table import ConstantTable, ModelConstant
+from physics.forward import force_path
+from physics.forward.constant_table import ConstantTable, ModelConstant
 from physics.laws import Array
 
 PRESLIDING: Final = 1.0 / math.log(2.0)

@@ -1,7 +1,7 @@
 """Readings of a bench's sensors and drive from the simulated force path, for a batch of sets of constants.
 
-`given`: constants of `physics.path_constants`, shape (constants, sets).  Signals have shape (samples,), SI, on a time
-grid of `step_s`; results have shape (sets, samples).
+`given`: constants of `physics.forward.path_constants`, shape (constants, sets).  Signals have shape (samples,), SI, on
+a time grid of `step_s`; results have shape (sets, samples).
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 from numba import njit
 from scipy.signal import lfilter
 
+from physics.forward.path_constants import INDEX
+from physics.forward.rig_forces import dahl_states
 from physics.laws import Array
-from physics.path_constants import INDEX
-from physics.plant.leg import GRAVITY
-from physics.rig_forces import dahl_states
+from physics.plant.components import GRAVITY
 
 OF_DRIVE: Final = (
     "start_lag", "start_offset", "start_drift", "start_gain", "drum_radius", "eccentric_sin", "eccentric_cos",

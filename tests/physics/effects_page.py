@@ -1,4 +1,4 @@
-"""Generator of docs/effects.md from the catalogue: `python -m physics.effects.catalogue_page [FILE]`.
+"""Generator of docs/effects.md from the catalogue: `python -m tests.physics.effects_page [FILE]`.
 
 The page contains the declarations and nothing else.
 """
@@ -14,7 +14,7 @@ from physics.effects.separating_experiments import EXPERIMENTS
 HEAD = """# Effects
 
 What can make a bench differ from its simulation. Generated from `physics/effects/declarations.py` by
-`python -m physics.effects.catalogue_page docs/effects.md`; change the declarations, not this page. Values are SI.
+`python -m tests.physics.effects_page docs/effects.md`; change the declarations, not this page. Values are SI.
 *Likely* is where a search starts; *bounds* are hard. *Neutral* is the value at which an effect is absent, — where
 only a calibration knows the healthy one.
 """

@@ -1,4 +1,4 @@
-"""Parameters of the many-segment simulation from the constants of the two-node force path.
+"""Parameters of the many-segment simulation from the constants of the two-node force path; its plant, its readings.
 
 Each conversion follows from equating the two models where both are exact: friction exponents by tension and knee angle,
 stretch between 10 and 60 N, displacement of the anchor between 0 and 70° of flexion.
@@ -6,16 +6,21 @@ stretch between 10 and 60 N, displacement of the anchor between 0 and 70° of fl
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from physics.force_path import KNEE_RAD, STRETCH_M
-from physics.laws import MILLI, STIFFNESS_A_MM_N2, STIFFNESS_B_MM_N
+from physics.forward.force_path import KNEE_RAD, STRETCH_M
+from physics.forward.path_constants import LOAD_PER_STEP, PRESLIDING
+from physics.laws import MILLI, STIFFNESS_A_MM_N2, STIFFNESS_B_MM_N, Array
 from physics.parameters import ESTIMATED, PARAMETERS, healthy
-from physics.path_constants import LOAD_PER_STEP, PRESLIDING
-from physics.plant.leg import KNEE_AT_FIT
+from physics.path_laws import lag
+from physics.plant import PlantParameters
+from physics.plant.components import KNEE_AT_FIT
+from physics.plant.imposed import Tensions
 
 Values = Mapping[str, float]
 
@@ -30,6 +35,11 @@ DIRECT: Final = (
     "start_offset", "end_offset", "drive_coulomb", "drive_viscous", "drive_inertia", "drive_offset", "drive_asymmetry",
     "drive_viscous_asymmetry", "demand_gain")
 """Constants of the path that the simulation has, too."""
+_FIELDS: Final = {f"plant.{field.name}" for field in dataclasses.fields(PlantParameters)}
+NAMED: Final[Mapping[str, str]] = {
+    name: p.plant.removeprefix("plant.") for name, p in ESTIMATED.items()
+    if p.plant in _FIELDS and name not in {"slack", "rope_zero", "knee_backlash", "drum_radius"}}
+"""Estimated parameter → field of `PlantParameters` that takes it; zeros, backlash and drum are handled apart."""
 
 
 def simulation_values(path: Values) -> dict[str, float]:
@@ -77,3 +87,42 @@ def _anchor(path: Values) -> dict[str, float]:
     zero, arm, quadratic = np.linalg.lstsq(design, moved, rcond=None)[0]
     return {"rope_zero": path["zero"] + float(zero), "rope_per_knee": float(arm),
             "rope_per_knee_quadratic": float(quadratic)}
+
+
+@dataclass(frozen=True)
+class SimulatedTensions:
+    """START and END tension, N, as the simulated sensors read them, shape (samples,)."""
+
+    tension_start_n: Array
+    tension_end_n: Array
+
+
+def plant_of(values: Values, seconds: float) -> PlantParameters:
+    """Return the plant parameters for values of the estimated parameters; `seconds`: length of the trial.
+
+    Friction drift is stated per length of the trial, at least 1 s.
+    """
+    share = min(max(values["cable_share"], 0.01), 0.8) * STRETCH_LINEAR
+    sheath = min(PARAMETERS["sheath_compliance"].nominal, share)
+    preload, scale = values["home_preload"], values["stiffness_scale"]
+    homed = (STRETCH_LINEAR / scale - STRETCH_LINEAR) * preload + STRETCH_BEND * preload**2 * (
+        (1.0 + values["stiffness_shape"]) / scale - 1.0)
+    taken = {field: values[name] for name, field in NAMED.items()}
+    return dataclasses.replace(
+        PlantParameters(), **taken, fabric_presliding_m=values["presliding"] * values["fabric_presliding_ratio"],
+        lead_compliance=max(share - 0.5 * sheath, 0.25 * share), sheath_compliance=sheath,
+        encoder_zero_m=values["rope_zero"] + values["slack"] - homed, friction_drift_s=max(seconds, 1.0))
+
+
+def readings(time: Array, true: Tensions, values: Values) -> SimulatedTensions:
+    """Return the readings, N, of sensors with parameters `values` for true tensions at the times `time`, s."""
+    start, end = true
+    progress = (time - time[0]) / float(time[-1] - time[0])
+    if values["end_filter"] > 0.0:
+        end = lag(end, time, np.arange(time.size) == 0, values["end_filter"])
+    skew, delay = values["timestamp_skew"], values["end_delay"]
+    return SimulatedTensions(
+        values["start_gain"] * np.interp(time - skew, time, start) + values["start_offset"]
+        + values["start_drift"] * progress,
+        values["end_gain"] * np.interp(time - skew - delay, time, end) + values["end_offset"]
+        + values["end_drift"] * progress)

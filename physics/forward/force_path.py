@@ -148,6 +148,7 @@ def _step(p, x, theta, progress, dt, z, out):  # type: ignore[no-untyped-def]
             u += p[ECC_SIN, j] * math.sin(x / p[DRUM, j]) + p[ECC_COS, j] * (math.cos(x / p[DRUM, j]) - 1.0)
         leg = min(max(z[LEG, j], theta - p[PLAY, j]), theta + p[PLAY, j])
         z[LEG, j] = leg
+        # the load closes the gap, N·m: rope at a lever of 40 mm (11) less the leg's weight; 0.3 N·m rounds the reversal
         pull = 0.04 * z[T1, j] - 0.9 * math.sin(theta)
         leg += p[GAP, j] * pull / (abs(pull) + 0.3)
         on = leg - KNEE_RAD

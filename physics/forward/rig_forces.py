@@ -1,7 +1,7 @@
 """Forces of a rig other than the bench from its measured motion, for a batch of sets of constants.
 
 Each function takes constants by name, of shape (sets, 1), and signals of shape (samples,), SI, and returns an array of
-shape (sets, samples).  A set of constants is a row of `physics.rig_constants`.
+shape (sets, samples).  A set of constants is a row of `physics.forward.rig_constants`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from physics.forward.rig_constants import BETWEEN, LINK, RigColumns, RigScale, gravity_of, links_of
 from physics.laws import Array
-from physics.rig_constants import BETWEEN, LINK, RigColumns, RigScale, gravity_of, links_of
 
 Constants = Mapping[str, Array]
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
-from physics.constant_table import ConstantTable, ModelConstant
+from physics.forward.constant_table import ConstantTable, ModelConstant
 from physics.laws import Array
 
 START, END, FORCE, JOINT = "tension_start_n", "tension_end_n", "servo_force_n", "knee_angle_rad"
