@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from parameters import InputError
 from parameters.files import replaced
 from trial.mcap_file import cdr
-from trial.mcap_file.container import Container
-from trial.mcap_file.writer import (
+from trial.mcap_file.container import (
     EVENTS_PER_CHUNK,
     FRAMES_PER_CHUNK,
     Block,
+    Container,
     CycleBlock,
     Events,
     FrameBlock,
