@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 import bowden
-from benchmarks import family_walks
+from benchmarks import family
 from benchmarks.frame import OUT, ROOT, markdown, put
 from tests.plants import effects, stack
 from trial import read
@@ -36,8 +36,8 @@ SHOWS: Final = 0.1
 
 def nights(aside: bool) -> Iterator[tuple[int, str]]:
     """Serial and hidden effect of each night, "" for none: kinds in turns, so that any part of them has each kind."""
-    known = family_walks.read(ROOT / "docs" / "unseen.csv")
-    serials = [s for s in (family_walks.SET_ASIDE if aside else family_walks.DEVELOPMENT)
+    known = family.read(ROOT / "docs" / "unseen.csv")
+    serials = [s for s in (family.SET_ASIDE if aside else family.DEVELOPMENT)
                if "failed" not in known["family", s]]
     step, outside = round(len(HIDDEN) * 0.618), tuple(effects.OUTSIDE)
     kinds = ["single", "single", "single", "single", "outside", "healthy"] * (SINGLES // 4)
@@ -62,8 +62,8 @@ def night(serial: int, hidden: str, folder: Path) -> dict[str, Any]:
     model = folder / "calibration.toml"
     from physics.calibration import write
 
-    known = family_walks.read(ROOT / "docs" / "unseen.csv")["family", serial]
-    model.write_text(write(family_walks.calibration_of(known)), encoding="utf-8")
+    known = family.read(ROOT / "docs" / "unseen.csv")["family", serial]
+    model.write_text(write(family.calibration_of(known)), encoding="utf-8")
 
     def bus(seed: int, *changed: str) -> Any:
         plant = stack.plant_name(serial, 0, effects=changed, draw=serial if changed else None)
