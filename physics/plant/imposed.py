@@ -1,6 +1,6 @@
 """The rope path under a measured motion of drum and leg; both tensions are simulated.
 
-The rule of this file: it is the plant's own chain (`chain`, `cable`, `fabric`) without drives and without the leg's
+The rule of this file: it is the plant's own chain (`chain`, `components`) without drives and without the leg's
 mechanics; node 0 and the anchor follow cubic splines through the samples, in steps of `STEP_S` at most.
 """
 

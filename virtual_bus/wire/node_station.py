@@ -14,7 +14,7 @@ from virtual_bus.wire.station import Confinement, Station
 
 
 class BusDevice(Protocol):
-    """Protocol of a sans-IO device on a bus; `nodes.core.device.BusDevice` implements it."""
+    """Protocol of a sans-IO device on a bus; `nodes.core.device.Device` has it."""
 
     @property
     def node_id(self) -> int:
