@@ -4,12 +4,17 @@
 
 A: the bench's calibration alone, B: with the extension.  Only END as its sensor reads it decides, by its departure
 from the reference trial: what the sensor reads wrongly there, it reads wrongly here, too.
+
+The journal has one JSON line for each completed step, on the disk before the next step begins.  A run that was killed
+is resumed by running the same steps again: a step with a line returns its result.
 """
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +25,6 @@ from scipy.stats import t as student
 
 from bowden.bench import buses, configuration
 from bowden.bench.buses import BusSettings
-from bowden.mending.journal import Journal
 from bowden.model_files import BenchModel
 from bowden.models.diagnosing import Diagnosis, DiagnosisResult
 from bowden.models.experiment_plan import of_trials
@@ -31,6 +35,65 @@ from bowden.trials.recorded_trial import Trial
 from bowden.trials.session import PreparedTrial
 from parameters import InputError
 from parameters.files import write_whole
+from trial.report.page import Page, Series, Tile, number
+
+
+class Journal:
+    """Completed steps of a run in `path`, in their order; `settings` are the run's, on the first line."""
+
+    def __init__(self, path: Path, settings: dict[str, Any], *, resume: bool) -> None:
+        """Begin a journal, or with `resume` read the one at `path`.
+
+        Raises `InputError` if a journal is there and `resume` is not asked for, and if its settings differ.
+        """
+        self.path, self.lines = path, list[dict[str, Any]]()
+        if path.exists():
+            if not resume:
+                raise InputError(f"{path}: a run was recorded here; give another folder, or --resume.")
+            self.lines = _read(path)
+        if not self.lines:
+            self._append({"step": "settings", "result": settings})
+        elif self.lines[0]["result"] != settings:
+            raise InputError(f"{path}: was begun with {self.lines[0]['result']}; resume with the same options.")
+        self._next = 1
+
+    def step(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """Return the result of the next step: from its line if it was completed, else made and written.
+
+        Raises `InputError` if the journal's line is of another step: the program or a file has changed.
+        """
+        if self._next < len(self.lines):
+            line = self.lines[self._next]
+            if line["step"] != name:
+                raise InputError(f"{self.path}: line {self._next + 1} is {line['step']}, expected {name}; begin anew "
+                                 "in another folder.")
+        else:
+            line = {"step": name, "result": make()}
+            self._append(line)
+        self._next += 1
+        result: dict[str, Any] = line["result"]
+        return result
+
+    def _append(self, line: dict[str, Any]) -> None:
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line, ensure_ascii=False, allow_nan=False) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        self.lines.append(line)
+
+
+def _read(path: Path) -> list[dict[str, Any]]:
+    """Return the complete lines of a journal; a last line that a killed process cut short is removed from the file."""
+    text = path.read_bytes()
+    whole = text[:text.rfind(b"\n") + 1]
+    if whole != text:
+        with path.open("r+b") as file:
+            file.truncate(len(whole))
+    try:
+        return [json.loads(line) for line in whole.decode("utf-8").splitlines()]
+    except ValueError:
+        raise InputError(f"{path}: is no journal of bowden mend; give another folder.") from None
+
 
 Floats = NDArray[np.float64]
 
@@ -151,9 +214,7 @@ class _Run:
         except KeyboardInterrupt:
             result = replace(result, ending="interrupted; go on with --resume")
         result = replace(result, steps=tuple(self.journal.lines))
-        from bowden.mending import mend_page
-
-        mend_page.write(result, self.folder / PAGE)
+        write_page(result, self.folder / PAGE)
         return result
 
     def _repaired(self) -> MendedBench:
@@ -317,3 +378,46 @@ def _calibration(trial: Trial) -> BenchModel | None:
     if text is None or trial.metadata.get("calibration") == NOMINAL:
         return None
     return bench_model.from_tables(tomllib.loads(bytes(text).decode("utf-8")), f"{trial.path}: calibration.toml")
+
+
+def write_page(result: MendedBench, path: Path) -> None:
+    """Write the story of a run as one HTML page without network."""
+    badge = ("mended", "good") if result.kept else ("not mended", "plain")
+    page = Page("A bench repaired overnight", f"{result.ending}.", badge=badge)
+    page.section("Outcome")
+    page.text(_sentence(result))
+    if result.gain is not None:
+        low, high = result.interval or (None, None)
+        page.tiles([
+            Tile(number(float(np.mean(result.before)), 3), "%", "END without the extension", "error, of the peak"),
+            Tile(number(float(np.mean(result.after)), 3), "%", "END with it", "error, of the peak"),
+            Tile(number(result.gain, 3), "points", "gain", f"95 %: {number(low, 3)} … {number(high, 3)}")])
+        pairs = np.arange(1.0, len(result.before) + 1.0)
+        page.plot("END's error by pair of trials", pairs, [
+            Series("without", result.before, "#d97706", points=True),
+            Series("with", result.after, "#2563eb", points=True)], "pair", "%")
+    page.section("Steps")
+    page.table(["step", "what happened"], [(line["step"], _words(line["result"])) for line in result.steps[1:]])
+    page.section("Files")
+    page.text(f"Trials, journal.jsonl and, where it was kept, extended.toml are in {result.folder}.")
+    page.write(path, overwrite=True)
+
+
+def _sentence(result: MendedBench) -> str:
+    """Return what was named and what became of it, in one sentence."""
+    cause = ", ".join(name.replace("_", " ") for name in result.names) or "; ".join(result.equations)
+    if not cause:
+        return f"{result.ending[:1].upper()}{result.ending[1:]}."
+    return f"Named: {cause}. {result.ending[:1].upper()}{result.ending[1:]}."
+
+
+def _words(result: dict[str, Any]) -> str:
+    """Return a step's result in words: a trial, a diagnosis or a plan."""
+    if "file" in result:
+        percent = "END not measured" if result["percent"] is None else f"END off by {number(result['percent'], 3)} %"
+        stopped = f" ({result['stop_reason']})" if result["stop_reason"] else ""
+        return f"{result['file']}: {result['outcome']}{stopped}, {result['seconds']:.0f} s, {percent}"
+    if "verdict" in result:
+        among = ", ".join(name.replace("_", " ") for name in result["class"])
+        return "; ".join([str(result["verdict"]) + (f": {among}" if among else ""), *result["equations"]])
+    return str(result["experiment"] or "no experiment is likely to decide")

@@ -9,7 +9,7 @@ import pytest
 
 import bowden
 from bowden.mending import supervisor
-from bowden.mending.journal import Journal
+from bowden.mending.supervisor import Journal
 from parameters import InputError
 
 SETTINGS = {"reference": ["good.mcap"], "hours": 1.0}
