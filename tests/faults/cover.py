@@ -21,9 +21,10 @@ GAITS = tuple(Walk(period_s, controller, 1, shape=SHAPES[(place + 2 * other) % l
 """Gaits of the sample: every controller with every period, every bench with three controllers and every period."""
 EVERY_GAIT = tuple(Walk(period_s, controller, 1, shape=shape)
                    for controller in CONTROLLERS for period_s in PERIODS for shape in SHAPES)
-MOTIONS = (*(Walk(motion=motion, shape=shape) for motion in ("home", "jog") for shape in ("bench", "bench_start_only")),
-           *(Walk(motion="identify", shape=shape) for shape in ("bench", "bench_two_legs")))
-"""Other motions; `home` and `jog` run one force path with a driven knee."""
+MOTIONS = tuple(Walk(motion=motion, shape=shape, moments=OF_MOTION[:count]) for motion, shape, count in (
+    ("home", "bench", 5), ("home", "bench_start_only", 5), ("jog", "bench", 6), ("jog", "bench_start_only", 6),
+    ("identify", "bench", 9), ("identify", "bench_two_legs", 10)))
+"""Other motions, with the moments before their end; `home` and `jog` run one force path with a driven knee."""
 ON_ONE_BENCH = (argument.FOREIGN, argument.TARGETS, argument.ALTERED, argument.OTHER_BENCH)
 """Actions whose rows name frames of the paper's bench."""
 DRAGGED = "a leg that falls pulls the antagonist's rope off a drum without torque, which drags"
@@ -58,7 +59,8 @@ def sample(rows: Sequence[Row], *, whole: bool = False, motions: bool = True) ->
             turns: dict[Walk, list[str]] = {}
             for number, moment in enumerate(moments if fit else ()):
                 for walk in fit if whole else [fit[(STEP * place + number) % len(fit)]]:
-                    turns.setdefault(walk, []).append(moment)
+                    if not walk.moments or moment in walk.moments:
+                        turns.setdefault(walk, []).append(moment)
             for walk, at in turns.items():
                 errors = tuple(name for name in row.named if name.startswith("program failed"))
                 mine = replace(row, moments=tuple(at), walks=(walk,), named=errors, quiet=True)
