@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -20,7 +20,9 @@ from physics.parameters import ESTIMATED, PARAMETERS, healthy
 from physics.path_laws import lag
 from physics.plant import PlantParameters
 from physics.plant.components import KNEE_AT_FIT
-from physics.plant.imposed import Tensions
+
+if TYPE_CHECKING:  # it loads SciPy
+    from physics.plant.imposed import Tensions
 
 Values = Mapping[str, float]
 
