@@ -337,6 +337,7 @@ class _Fit:
         Near 0 the smooth maximum of such a constant is flat, so that the trials would seem not to bound it from above.
         """
         q = self._constants(self.bench)
+        # dv/dq where the constant acts over dv/dq at the mode, by which each column of H grows
         ratio = self.constants.slope(self.constants.lifted(q)) / self.constants.slope(q)
         scale = np.ones(self.bench.size)
         scale[:len(self.free)] = ratio[self.free]
@@ -523,6 +524,7 @@ class _Fit:
             information += square - side.T @ cho_solve(inner, side)
             pull += error - side.T @ across
             evidence += 0.5 * float(deviation * error @ across) - float(np.log(np.diag(inner[0])).sum())
+        # ln p = ½ gᵀΛ⁻¹g − ½ ln det Λ of the bench, Λ the information; the axes keep Λ ≥ I despite rounding
         lengths, axes = np.linalg.eigh(0.5 * (information + information.T))
         lengths, pull = np.maximum(lengths, 1.0), axes.T @ pull  # the prior alone has 1
         evidence += 0.5 * float((pull**2 / lengths - np.log(lengths)).sum())

@@ -173,8 +173,10 @@ def _left(at: PosteriorMode, errors: Sequence[Array]) -> Array:
     if not errors:
         return at.residual
     error, off = np.concatenate(errors, axis=1), at.x - at.prior_mean
+    # C⁻¹[e, F] by Woodbury's identity, F the columns of `errors`, e the error about the prior's mean
     light = at.weight[:, None] * np.concatenate([(at.residual + at.design @ off)[:, None], error], axis=1)
     applied = light - at.weight[:, None] * (at.inward @ cho_solve(at.inner, at.inward.T @ light))
+    # posterior mean of their sizes, (I + FᵀC⁻¹F)⁻¹FᵀC⁻¹e; what they take moves the mode, too
     size = np.linalg.solve(np.eye(error.shape[1]) + error.T @ applied[:, 1:], error.T @ applied[:, 0])
     return np.asarray(at.residual + at.inward @ (at.inward.T @ (applied[:, 1:] @ size)) - error @ size)
 

@@ -22,6 +22,7 @@ from physics.laws import Array
 
 def least_size(square: float, nats: float) -> float:
     """Return the size, in prior σ, at which ln B reaches `nats`; `square`: G of one prior σ."""
+    # the module's equation solved for s
     return float(np.sqrt((2.0 * nats + np.log1p(square)) * (1.0 + square)) / square) if square > 0.0 else np.inf
 
 

@@ -67,6 +67,7 @@ class HeldOut:
         if self.named is None:
             return None
         without, with_effect = (self._squares(names or self.judged, which)[:, 0] for which in ("session", "named"))
+        # cycles are the units of the bootstrap, since data within one are not independent
         draw = np.random.default_rng(0).integers(0, without.size, (draws, without.size))
         gains = 100.0 * (1.0 - np.sqrt(with_effect[draw].sum(axis=1) / without[draw].sum(axis=1)))
         low, high = np.percentile(gains, [2.5, 97.5])

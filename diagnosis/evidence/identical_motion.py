@@ -68,11 +68,13 @@ def _lag(trial: Recording, other: Recording, most_s: float = 2.0, identical: flo
     rate, other_rate = (np.gradient(each[1]) for each in (own, known))
     most = round(most_s / GRID_S)
     size = 1 << int(np.ceil(np.log2(rate.size + other_rate.size)))
+    # the lag with the largest cross-correlation of the knee's rate, by Fourier transforms
     alike = np.fft.irfft(np.conj(np.fft.rfft(rate, size)) * np.fft.rfft(other_rate, size), size)
     lag = int(np.argmax(np.concatenate([alike[-most:], alike[:most + 1]]))) - most
     first, last = max(0, -lag), min(own.shape[1], known.shape[1] - lag)
     if last - first < covered * own.shape[1]:
         return None
+    # a zero of the encoder is no other motion: the standard deviation, not the RMS
     difference = own[:, first:last] - known[:, first + lag:last + lag]
     spread = np.maximum(own[:, first:last].std(axis=1), 1e-4)  # m and rad; a locked knee hardly moves
     return lag if float((difference.std(axis=1) / spread).max()) <= identical else None

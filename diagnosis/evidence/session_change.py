@@ -35,11 +35,13 @@ def averaged(at: PosteriorMode, amplitude: Array, shares: Sequence[float]) -> fl
     count, own = at.constants, at.factor[at.constants:, at.constants:]
     departure = solve_triangular(at.factor, at.x - at.prior_mean, lower=True)
     light = at.weight * at.residual
+    # LᵀHᵀWr − y, zero at an exact mode
     left = at.factor.T @ np.concatenate([light @ at.slopes, light @ at.features]) - departure
     columns = np.concatenate([left[:, None], np.eye(at.x.size)[:, count:]], axis=1)
     solved = cho_solve(at.inner, columns)[count:]
     # L is lower triangular, and the constants come first
     out = amplitude[:, None] * solve_triangular(own.T, np.eye(own.shape[0]), lower=False)
+    # G = AΦᵀC⁻¹ΦA, A the amplitudes; in its eigenvectors the Gaussian integral over d′ is a product of scalars
     square = out @ (np.eye(own.shape[0]) - solved[:, 1:]) @ out.T
     lengths, axes = np.linalg.eigh(0.5 * (square + square.T))
     pull = (axes.T @ (out @ (departure[count:] + solved[:, 0]))) ** 2
