@@ -217,9 +217,10 @@ drawn period (± 8 %) and amplitude (± 10 %), among them two stumbles, two stop
 migrates. The force follows the phase that is felt from the knee angle alone ([walking](walking.md)). A walk is `bowden
 trial --knee FILE --strides {STRIDES} --stumbles 2 --stops 2 --sits 1 --controller extended --peak {PEAK_N:g} --period
 {PERIOD_S:g}` on day 1, by a calibration of day 0. The family's benches share no code with the controller's model
-([family](family.md)); drag of a loose rope at END counts in their RMSE. Seed 1006 was stopped at first, by a
-check of the knee encoder that took a knee sticking as it turned back for a frozen one; it was walked again with the
-check corrected, as were all walks after it."""
+([family](family.md)); drag of a loose rope at END counts in their RMSE. Two walks were stopped
+at first and walked again with the check corrected that had stopped them: seed 1006 by one of the knee encoder, which
+took a knee sticking as it turned back for a frozen one, seed 1033 by one of the servo drive, which took a torque that
+lags its demand for a stage with the wrong sign."""
 TRUE_PHASE = """\
 The bars of RMSE are read as those against the force asked for, at the felt phase: an error of the phase of 1 %
 while the force acts costs 5 % of the peak at the true phase, so that the bar of the phase, 1.5 %, forbids 0.6 %

@@ -19,7 +19,7 @@ from physics.drive_loops import GAINS, LOOP_STATES, loop, velocity_loop
 POSITION_INTEGRAL, VELOCITY_INTEGRAL, SATURATED, FOLLOWING, VELOCITY_DEMAND, SPEED_LOW, SPEED_HIGH, LIMITED, YIELDING, \
     TIME_NS, POSITION, VELOCITY, TORQUE, DEMAND, RAMP, TARGET, FRESH, SEGMENT_VELOCITY, SEGMENT_LEFT_S, FOLLOWING_S, \
     STILL_S, STOP_LEFT_S, START, TENSION, TENSION_AGE_S, FREE_HIGH, TENSION_HIGH, POSITION_BEFORE, APART, GAINED, \
-    EVENTS, STATES = range(32)
+    ACTING, EVENTS, STATES = range(33)
 """Slots of `s`, the first five those of `physics.drive_loops`; `STATES` is their number."""
 
 KP, KI, KV, KVI, TORQUE_BOUND, SPEED_MAX, FEED_FORWARD, VELOCITY_OFFSET, TORQUE_OFFSET, TORQUE_MAX, TORQUE_HIGH, \
@@ -55,6 +55,10 @@ GAINED_M_S: Final = 0.02
 """Speed of winding in, m/s, that a drum gains against its torque before its stage counts as one with the wrong sign.
 Smaller: the noise of a velocity trips. Larger: the drum has more speed when the torque goes; a velocity loop with the
 wrong sign doubles it each millisecond."""
+STAGE_S: Final = 1e-3
+"""Time constant, s, with which a stage's torque is taken to follow its demand: a current loop of 160 Hz. Shorter: a
+slow one that still pushes after the demand has turned counts as one with the wrong sign. Longer: the drum has more
+speed."""
 TRUST_S: Final = 0.05
 """Age beyond which a tension is not trusted; the deadline of its PDO is shorter."""
 YIELD_RATE: Final = 160.0
@@ -252,13 +256,15 @@ def act(s: Any, g: Any, mode: int, position: float, velocity: float, dt_s: float
 
 
 @njit
-def driven(s: Any, g: Any, velocity: float) -> None:
-    """Flag a stage with the wrong sign: the drum winds in faster against the torque of the tick before, `s[TORQUE]`.
+def driven(s: Any, g: Any, velocity: float, dt_s: float) -> None:
+    """Flag a stage with the wrong sign: the drum winds in faster against the torque that acts, `s[ACTING]`.
 
-    A rope pulls the drum out and never pushes it in, so no load does that. A leg that swings against its strap does.
+    That is the torque which was demanded before, `s[TORQUE]`, behind the lag of the stage.  A rope pulls
+    the drum out and never pushes it in, so no load does that. A leg that swings against its strap does.
     """
     gained = velocity - s[VELOCITY]
-    s[GAINED] = s[GAINED] + gained if s[TORQUE] < 0.0 < velocity and gained > 0.0 else 0.0
+    s[ACTING] += (s[TORQUE] - s[ACTING]) * (1.0 - math.exp(-dt_s / STAGE_S))
+    s[GAINED] = s[GAINED] + gained if s[ACTING] < 0.0 < velocity and gained > 0.0 else 0.0
     if s[GAINED] > g[GAINED_LIMIT]:
         tell(s, RUNAWAY)
 
@@ -273,7 +279,7 @@ def _compile(digest: int) -> tuple[Any, Any]:
         if g[RESOLUTION] > 0.0:
             position = math.floor(position / g[RESOLUTION] + 0.5) * g[RESOLUTION]
         mode = int(g[MODE])
-        driven(s, g, velocity)
+        driven(s, g, velocity, dt_s)
         s[TIME_NS], s[POSITION], s[VELOCITY], s[LIMITED] = now_ns, position, velocity, 0.0
         s[TENSION_AGE_S] += dt_s
         torque = 0.0

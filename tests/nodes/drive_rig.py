@@ -170,6 +170,7 @@ class DriveRig(NodeBus):
         self.feeds_tension = node_id == SERVO
         self.master_lives = True
         self.velocity_share = self.torque_share = 1.0
+        self.lag_s = self.acting = 0.0
         self.cyclic = False
         super().__init__(node_id, mechanics=self)
 
@@ -179,7 +180,9 @@ class DriveRig(NodeBus):
         """Move the plant under the drive's torque; the mechanics of `CanopenNode`."""
         self.torque = torque
         self.torques.append(torque)
-        self.plant.step(self.torque_share * torque, for_ns)
+        asked = self.torque_share * torque
+        self.acting += (asked - self.acting) * (1.0 - math.exp(-1e-9 * for_ns / self.lag_s) if self.lag_s else 1.0)
+        self.plant.step(self.acting, for_ns)
         return self.plant.position, self.velocity_share * self.plant.velocity
 
     def run(self, for_ms: float) -> None:

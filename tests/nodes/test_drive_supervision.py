@@ -195,6 +195,18 @@ def test_a_rope_that_pulls_the_drum_out_is_no_swapped_stage() -> None:
     assert 0x7122 not in rig.emergencies()
 
 
+def test_a_torque_that_lags_its_demand_is_no_swapped_stage() -> None:
+    """The drum pays out fast, is stopped at once and bounces: the torque still pushes when its demand has turned."""
+    rig = DriveRig(SERVO).enabled()
+    rig.lag_s = 1.5e-3
+    for target in range(0, -18_000, -220):
+        rig.target = target
+        rig.run(1)
+    rig.target = -16_000
+    rig.run(40)
+    assert rig.emergencies() == []
+
+
 def test_the_greatest_speed_is_no_contradiction() -> None:
     rig = DriveRig(SERVO).enabled()
     for target in range(0, 100_000, 900):
