@@ -100,7 +100,8 @@ def picture(path: Path, found: Iterable[Verdict]) -> None:
         for axes, (x, y) in ((left, (BOUNDS[0], BOUNDS[1])), (right, (BOUNDS[4], BOUNDS[2]))):
             for listed, colour, label in ((False, "tab:blue", "master's stop"), (True, "tab:orange", "listed with a reason")):
                 mine = [v for v in stops if bool(v.unstoppable) is listed]
-                axes.scatter([getattr(v, x[0]) for v in mine], [getattr(v, y[0]) for v in mine], s=5, color=colour, label=label)
+                axes.scatter([getattr(v, x[0]) for v in mine], [getattr(v, y[0]) for v in mine], s=5, color=colour, label=label,
+                             rasterized=True)
             axes.axvline(x[3], color="0.4", lw=0.8, ls="--")
             axes.axhline(y[3], color="0.4", lw=0.8, ls="--")
             axes.set_xlabel(f"{x[1]} ({x[2]})")
