@@ -277,16 +277,19 @@ class _Run:
         controlled = replace(self.gait, controller="extended")
         try:
             for pair in range(1, PAIRS + 1):
-                before.append(self._figure(f"{pair}-A", controlled))
-                after.append(self._figure(f"{pair}-B", replace(controlled, model=extended)))
+                before.append(_percent(self._completed(f"{pair}-A", controlled)))
+                mended = self._recorded(f"{pair}-B", replace(controlled, model=extended))
+                if mended["outcome"] != "completed":  # what the extension brought to a stop is not tried again
+                    raise _EndedError(f"undone: a trial with the extension was stopped: {mended['stop_reason']}")
+                after.append(_percent(mended))
+            kept = paired_interval(before, after)[0] > 0.0
+            ending = "mended: the extension gains in the loop" if kept else (
+                "undone: the extension does not gain in the loop")
         except _EndedError as ended:
-            return replace(outcome, ending=str(ended), before=before[:len(after)], after=after)
-        kept = paired_interval(before, after)[0] > 0.0
+            kept, ending = False, str(ended)
         if not kept:
             (self.folder / EXTENDED).unlink()
-        ending = "mended: the extension gains in the loop" if kept else (
-            "undone: the extension does not gain in the loop")
-        return replace(outcome, ending=ending, before=before, after=after, kept=kept)
+        return replace(outcome, ending=ending, before=before[:len(after)], after=after, kept=kept)
 
     def _diagnosed(self, step: str, finder: Diagnosis, trials: Sequence[Path]) -> DiagnosisResult:
         """Diagnose the trials together; the journal keeps the answer for the page, the files give it again."""
@@ -298,16 +301,19 @@ class _Run:
         return found
 
     def _trial(self, step: str, experiment: Experiment | PreparedTrial) -> Path:
-        """Record a trial, if the journal has none, and return its file; a stopped one is recorded once more.
+        """Return the file of a trial that was completed (`_completed`)."""
+        return self.folder / str(self._completed(step, experiment)["file"])
+
+    def _completed(self, step: str, experiment: Experiment | PreparedTrial) -> dict[str, Any]:
+        """Return the journal's result of a trial; a stopped one is recorded once more."""
+        result = self._recorded(step, experiment)
+        return result if result["outcome"] == "completed" else self._recorded(f"{step} again", experiment)
+
+    def _recorded(self, step: str, experiment: Experiment | PreparedTrial) -> dict[str, Any]:
+        """Return the journal's result of a trial, recorded now if there is none.
 
         Ends the run by time and at the second stopped trial.
         """
-        result = self._recorded(step, experiment)
-        if result["outcome"] != "completed":
-            result = self._recorded(f"{step} again", experiment)
-        return self.folder / str(result["file"])
-
-    def _recorded(self, step: str, experiment: Experiment | PreparedTrial) -> dict[str, Any]:
         path = self.folder / f"{step}.mcap"
 
         def record() -> dict[str, Any]:
@@ -348,13 +354,12 @@ class _Run:
         known = np.isfinite(apart)
         return float(100.0 * np.sqrt(np.mean(apart[known] ** 2)) / self.gait.peak_n) if known.any() else None
 
-    def _figure(self, step: str, experiment: Experiment) -> float:
-        """Return END's error, % of the peak, of a trial."""
-        name = self._trial(step, experiment).name
-        percent = next(line["result"]["percent"] for line in self.journal.lines if line["result"].get("file") == name)
-        if percent is None:
-            raise _EndedError(f"{name}: END was not measured")
-        return float(percent)
+
+def _percent(result: dict[str, Any]) -> float:
+    """Return END's error, % of the peak, of a trial's result."""
+    if result["percent"] is None:
+        raise _EndedError(f"{result['file']}: END was not measured")
+    return float(result["percent"])
 
 
 def _recorded(path: Path) -> Trial:
