@@ -58,12 +58,6 @@ def _share(prefix: str, name: str, sd: float) -> Callable[[Values], tuple[Varian
     return variants
 
 
-def _rubs(values: Values) -> tuple[Variant, ...]:
-    """Return the variants of friction between two tensions: all of it by one factor, and its shares beside it."""
-    size, shares = Direction({"friction": 1.0}, 0.4), [Direction({f"{n}_share": 1.0}, 0.2) for n in ("load", "viscous")]
-    return Variant((size,), {}), Variant((size._replace(sd=0.7), *shares), {})
-
-
 def _heavier(values: Values) -> tuple[Variant, ...]:
     """Return the variant of a mass that is added to or removed from an axis with weight: inertia and gravity change, on
     an arm's links, too."""
@@ -93,7 +87,8 @@ def tension_hypotheses(load: float, speed: float, peak: float) -> dict[str, Hypo
         return -dry / max(dry + per_load * LOAD_N, 1e-9)
 
     return {
-        "cable_friction": Hypothesis(FRICTION, _rubs, {
+        "cable_friction": Hypothesis(FRICTION, _variant(
+            ({"friction": 1.0}, 0.7), ({"load_share": 1.0}, 0.2), ({"viscous_share": 1.0}, 0.2)), {
                 "mu1": lambda v, b: math.asinh(part(1)(v, b)) / THETA1, "coulomb": part(0), "viscous": part(2)}),
         "viscous_friction": Hypothesis(FRICTION, _share("", "viscous", 0.5), {"viscous": part(2)}),
         "load_dependent_friction": Hypothesis(FRICTION, _share("", "load", 0.5), {"load_slope": slope}),
