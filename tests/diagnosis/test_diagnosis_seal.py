@@ -91,7 +91,13 @@ def test_a_seal_that_rubs_twice_as_much_is_another(known: Finder) -> None:
 FRICTION = {"cable_friction", "viscous_friction", "load_dependent_friction", "stribeck", "presliding"}
 
 
-@pytest.mark.parametrize("share", [0.5, 0.7, 1.4, 2.0, 3.0])
+@pytest.mark.parametrize("share", [0.7, 1.4])
+def test_friction_within_the_scatter_of_one_reference_session_is_none(known: Finder, share: float) -> None:
+    # bench and session are uncertain by 8 % each: the changes are 3.2 and 2.5 σ; repeats differ by 15 % (decision 47)
+    assert known.diagnose([_rubs(path, share) for path in _again("reconnected3")]).verdict == "none"
+
+
+@pytest.mark.parametrize("share", [0.5, 2.0, 3.0])
 def test_friction_of_another_size_is_named_with_its_size(known: Finder, share: float) -> None:
     found = known.diagnose([_rubs(path, share) for path in _again("reconnected3")])
     assert "cable_friction" in found.rivals
