@@ -233,4 +233,8 @@ SOUP = st.text(alphabet="[]=0x1aSub6040$NODEID\n\r; -ParmetDyTcsVlu", max_size=4
 def test_no_text_stops_the_reader(tmp_path_factory, data):
     path = tmp_path_factory.getbasetemp() / "soup.eds"
     path.write_bytes(b"[1000]\nParameterName=Device type\nDataType=7\n" + data)
-    assert key(0x1000) in dictionary.read(path).entries
+    try:
+        assert key(0x1000) in dictionary.read(path).entries
+    except InputError as refused:
+        assert "is binary, no text" in str(refused)
+        assert any(byte < 32 and byte not in b"\t\n\f\r\x1a\0" for byte in data)
