@@ -12,6 +12,7 @@ import pytest
 from physics.terms import Term, rows
 
 pytestmark = pytest.mark.usefixtures("plain_catalogue")
+ROOT = Path(__file__).parents[2]
 Run = Callable[..., Any]
 GAIT = ("--serial", 3, "--cycles", 8, "--period", 1.3)
 
@@ -37,6 +38,8 @@ def test_a_law_that_was_promoted_is_named_by_a_diagnosis(bowden: Run, here: Path
     told = bowden("discover", *trials, "--promote", "own.toml", "--json")
     law = json.loads(told.stdout)["terms"][0]
     assert (law["carrier"], law["modulation"]) == ("end_gain", "saturation")
+    for page in ("README.md", "docs/laws.md"):
+        assert f"Law: {law['equation']}" in " ".join((ROOT / page).read_text(encoding="utf-8").split())
     told = bowden("diagnose", *trials, "--effects", "own.toml", "--json", "-o", "extended.toml")
     found = json.loads(told.stdout)
     assert (found["verdict"], found["class"][0]) == ("found", "end_gain_saturation"), told.stderr
