@@ -204,7 +204,8 @@ def person_of(peak_n: float, period_s: float, folder: Path) -> Path:
     by = peak_n / 40.0
     text = safety_monitor.packaged().read_text(encoding="utf-8")
     for key, factor in {"start_n": by, "end_n": by, "force_rate_n_s": max(1.0, by) * max(1.0, 1.1 / period_s),
-                        "rope_m_s": max(1.0, by) * max(1.0, 1.1 / period_s),
+                        # the rope's speed counts with its acceleration, which grows with the square
+                        "rope_m_s": max(1.0, by) * max(1.0, 1.1 / period_s) ** 2,
                         "knee_deg_s": max(1.0, 1.1 / period_s)}.items():
         top = safety_monitor.person.RANGES[key][2]
         text = re.sub(rf"(?m)^{key} = ([\d.]+)",
