@@ -18,9 +18,10 @@ STEP_NS: Final = MS // 4
 WINDOW: Final = 12
 """Steps over which force rate and knee speed are taken. Fewer: the quantisation of the sensors counts as speed
 (0.022 degrees in 3 ms are 7 degrees/s). More: a stage that conducts is noticed later."""
+FORCE_AHEAD_S: Final = 0.01
+"""Time by which a fast rise of a tension is extrapolated, s: twice the STO delay. Longer: a stiff rope's jerk trips."""
 LOOK_AHEAD_S: Final = 0.03
-"""Time by which the knee's angle is extrapolated at its speed, s: six times the STO delay that is assumed. Shorter:
-the leg is faster where it meets its end stop. Longer: a gait that nears the end of its range trips."""
+"""The same of the knee's angle, s: six times the STO delay. Shorter: harder at its end stop. Longer: a gait trips."""
 ROPE_SPAN, ROPE_AHEAD = 4, 6
 """Steps between the two speeds of the rope that give its acceleration, and such spans ahead: one, and the STO delay.
 Fewer: quantisation counts as speed (46 mm/s), or a conducting stage gives the drum 80 mm/s more for each span ahead."""
@@ -101,7 +102,9 @@ def _above(what: str, values: Iterable[float], bound: float, unit: str) -> str:
 
 
 def _force_rate(present: Present, bounds: Bounds) -> str:
-    return _above("a tension rises at", (*present.rates(0), *present.rates(1)), bounds.force_rate_n_s, "N/s")
+    rising = [rate for place, bound in ((0, bounds.start_n), (1, bounds.end_n)) for path, rate in zip(
+        present.paths, present.rates(place), strict=True) if not path[place] + rate * FORCE_AHEAD_S <= bound]
+    return _above("a tension rises at", rising, bounds.force_rate_n_s, "N/s")
 
 
 def _rope_speed(present: Present, bounds: Bounds) -> str:
@@ -128,11 +131,6 @@ def _heartbeats(present: Present, bounds: Bounds) -> str:
                  for age, node in ages if age > bounds.heartbeat_ms), "")
 
 
-def _trial_time(present: Present, bounds: Bounds) -> str:
-    worked_ns = present.time_ns - present.state.working_ns if present.state.working_ns >= 0 else 0
-    return _above("drives OPERATIONAL for", [worked_ns * 1e-9], bounds.trial_s, "s")
-
-
 def _own_time(present: Present, bounds: Bounds) -> str:
     late = present.state.time_ns >= 0 and not 0 < present.time_ns - present.state.time_ns <= LATE_NS
     return f"{(present.time_ns - present.state.time_ns) / MS:.0f} ms between two steps" if late else ""
@@ -150,7 +148,9 @@ CHECKS: Final = (
     Check("speed of the knee", Emcy.MONITOR_SPEED, lambda present, bounds: _above(
         "knee speed", map(abs, present.rates(2)), bounds.knee_deg_s, "degrees/s")),
     Check("heartbeats of master and drives", Emcy.MONITOR_HEARTBEAT, _heartbeats),
-    Check("time of a trial", Emcy.MONITOR_TRIAL_TIME, _trial_time),
+    Check("time of a trial", Emcy.MONITOR_TRIAL_TIME, lambda present, bounds: _above(
+        "drives OPERATIONAL for", [(present.time_ns - began_ns) * 1e-9 for began_ns in [present.state.working_ns]
+                                   if began_ns >= 0], bounds.trial_s, "s")),
 )
 """In the order in which they are checked; the first that is broken is reported."""
 

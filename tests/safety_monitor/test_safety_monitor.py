@@ -72,7 +72,11 @@ def test_a_value_beyond_its_bound_or_no_number_opens_the_line_in_one_step(path: 
 def test_rates_are_bounded_over_their_window_and_a_falling_tension_is_not() -> None:
     per_step = 1e-9 * STEP_NS
     rise = [REST._replace(start_n=1.1 * BOUNDS.force_rate_n_s * per_step * n) for n in range(2 * WINDOW)]
-    assert run(rise).cause is Emcy.MONITOR_FORCE_RATE
+    assert run(rise).enabled  # a stiff rope that comes taut: far from its bound
+    from_n = BOUNDS.start_n - rise[-1].start_n - 1.0
+    reaching = [path._replace(start_n=from_n + path.start_n) for path in rise]
+    assert run(reaching).cause is Emcy.MONITOR_FORCE_RATE
+    assert max(path.start_n for path in reaching) < BOUNDS.start_n
     assert run([REST._replace(start_n=50.0 - path.start_n) for path in rise]).enabled
     swing = [REST._replace(knee_deg=-60.0 + 1.1 * BOUNDS.knee_deg_s * per_step * n) for n in range(2 * WINDOW)]
     assert run(swing).cause is Emcy.MONITOR_SPEED
