@@ -187,7 +187,7 @@ class _Run:
     def __init__(self, reference: Sequence[Path], folder: Path, bus: BusSettings, hours: float, cycles: int,
                  resume: bool, progress: Progress) -> None:
         self.reference, self.folder, self.bus, self.progress = reference, folder, bus, progress
-        trials = [_recorded(path) for path in reference]
+        trials = [_reference_trial(path) for path in reference]
         self.plain = _calibration(trials[0])
         gaits = [trial for trial in trials if trial.metadata.get("experiment", GAIT) == GAIT]
         if not gaits:
@@ -362,7 +362,7 @@ def _percent(result: dict[str, Any]) -> float:
     return float(result["percent"])
 
 
-def _recorded(path: Path) -> Trial:
+def _reference_trial(path: Path) -> Trial:
     if path.suffix.lower() != ".mcap":
         raise InputError(f"{path}: a reference trial of mend is one of bowden trial, .mcap; give one.")
     trial = Trial(path)

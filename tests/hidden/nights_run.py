@@ -23,8 +23,10 @@ import numpy as np
 import bowden
 from benchmarks import family
 from benchmarks.frame import OUT, ROOT, markdown, put
+from bowden.pages.figures import true_end
 from tests.plants import effects, stack
 from trial import read
+from trial.metrics import relative_rmse
 
 PEAK_N, PERIOD_S, CYCLES = 40.0, 1.3, 6
 PAGE: Final = ROOT / "docs" / "mend.md"
@@ -46,15 +48,15 @@ def nights(aside: bool) -> Iterator[tuple[int, str]]:
         hidden = HIDDEN[singles * step % len(HIDDEN)] if kind == "single" else (
             outside[i // 6 % len(outside)] if kind == "outside" else "")
         singles += kind == "single"
-        yield serials[i % len(serials)], hidden
+        yield serials[(i + i // len(serials)) % len(serials)], hidden  # other benches in a further round
 
 
 def true_percent(path: Path, settle: int = 1) -> float:
-    """Return true END's relative RMSE, % of the peak, of a trial's cycles from `settle` on."""
-    trial, truth = read.open(path), read.open_table(path.with_name(f"{path.stem}.truth.mcap"), "/truth")
-    error = np.interp(trial.time_ns, truth.time_ns, truth.columns["true_end_n"]) - trial.columns["desired_force_n"]
-    walked = trial.columns["cycle"] >= settle
-    return float(100.0 * np.sqrt(np.mean(error[walked] ** 2)) / PEAK_N) if walked.any() else math.inf
+    """Return true END's relative RMSE, % of the peak, of a trial's cycles from `settle` on; inf if it has none."""
+    trial = read.open(path)
+    error = true_end(path.with_name(f"{path.stem}.truth.mcap"), trial) - trial.columns["desired_force_n"]
+    found = relative_rmse(error, trial.columns["cycle"] >= settle, PEAK_N)
+    return math.inf if found is None else found
 
 
 def night(serial: int, hidden: str, folder: Path) -> dict[str, Any]:
@@ -119,7 +121,7 @@ def page(rows: Sequence[Mapping[str, Any]], options: str) -> str:
          f"{sum(row['hidden'] in row['names'] for row in named)} of {len(named)}"),
         ("nights that ended by stopped trials", str(len(stopped)))]
     return "\n\n".join((
-        f"`python -m tests.hidden.nights_run {options}`:".replace(" `", "`"), markdown(["figure", "value"], figures),
+        f"`python -m tests.hidden.nights_run {options}`:", markdown(["figure", "value"], figures),
         markdown(["bench", "hidden", "verdict", "named or law", "true END before (%)", "changed", "with the extension",
                   "outcome", "back (%)"], [described(row) for row in rows])))
 
