@@ -6,11 +6,13 @@ its own processor time.  What else runs on the machine strikes neighbouring turn
 
 from __future__ import annotations
 
+import csv
+import json
 import math
 import multiprocessing
 import os
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,13 +26,35 @@ Row = tuple[str, str, str, str, str]
 
 
 def put(page: Path, name: str, text: str) -> None:
-    """Replace what stands between `<!-- name: begin -->` and `<!-- name: end -->`; ValueError without the marks."""
-    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-    before, first, behind = page.read_text(encoding="utf-8").partition(begin)
-    _, second, after = behind.partition(end)
-    if not (first and second):
-        raise ValueError(f"{page}: lacks {begin} … {end}")
-    page.write_text(f"{before}{begin}\n{text.rstrip()}\n{end}{after}", encoding="utf-8")
+    """Replace the text between `<!-- name: begin -->` and `<!-- name: end -->`; ValueError without the marks."""
+    page.write_text(filled(page, {name: text}), encoding="utf-8")
+
+
+def filled(page: Path, tables: Mapping[str, str]) -> str:
+    """Return the text of a page with each table between the marks of its name."""
+    whole = page.read_text(encoding="utf-8")
+    for name, text in tables.items():
+        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        before, first, behind = whole.partition(begin)
+        _, second, after = behind.partition(end)
+        if not (first and second):
+            raise ValueError(f"{page}: lacks {begin} … {end}")
+        whole = f"{before}{begin}\n{text.rstrip()}\n{end}{after}"
+    return whole
+
+
+def rows(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a table whose last column is a JSON object; none if the file does not exist."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return [json.loads(line[-1]) for line in csv.reader(file)]
+
+
+def write_rows(path: Path, keys: Sequence[str], found: Iterable[Mapping[str, Any]], mode: str = "w") -> None:
+    """Write rows as JSON objects behind the values of `keys`; mode "a" appends them."""
+    with path.open(mode, newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([*(row[key] for key in keys), json.dumps(row)] for row in found)
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -111,3 +135,12 @@ def _serve(work: Work, pipe: Any, turns: int) -> None:
     with suppress(DoneError):
         work(turn)
     os._exit(0)
+
+
+def map_pdo(pdo: Any, planned: Any) -> None:
+    """Write the bench's mapping into a PDO of canopen."""
+    pdo.clear()
+    for word in planned.mapping:
+        pdo.add_variable(word >> 16, word >> 8 & 0xFF, word & 0xFF)
+    pdo.cob_id, pdo.enabled = planned.cob_id, True
+    pdo.subscribe()

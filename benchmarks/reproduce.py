@@ -1,11 +1,10 @@
-"""The paper's table, beside every controller here, on twenty benches: docs/results.csv and docs/results.md.
+"""The paper's table and every controller of this package on twenty benches: docs/results.csv and docs/results.md.
 
-    python -m benchmarks.reproduce [--quick] [--benches N] [--workers N] [--page]
+    python -m benchmarks.reproduce [--benches N] [--workers N] [--page]
 
-The rule of this file: a result is a row of a sweep (`bowden.sweep.run`), so that what is interrupted goes on and
-nothing is run twice; Ctrl-C writes the page of what there is.  The page is made from docs/results.csv alone (`--page`
-does only that).  Benches are identified on day 0 and tried on day 1.  `--quick` takes two benches and writes to out/;
-`--benches` takes the first so many, and the page says which it is of.
+Each result is a row of a sweep (`bowden.sweep.run`): an interrupted run goes on where it ended, and Ctrl-C writes the
+page of the rows that exist.  Benches are identified on day 0 and tried on day 1.  `--page` only writes the page from
+docs/results.csv; `--benches` runs the first so many, and the page states how many.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
-from benchmarks.frame import DOCS, OUT, markdown, number
+from benchmarks.frame import DOCS, OUT, filled, markdown, number
 from bowden.bench import configuration
 from bowden.cli import terminal
 from bowden.pages.figures import PAPER_RMSE_PERCENT
@@ -30,12 +29,9 @@ from bowden.sweep import run as sweep_run
 from bowden.sweep.rows import IDENTIFIED, Row, Value
 from bowden.sweep.sweep_table import SweepTable
 from bowden.trials import provenance, session
-from physics import laws
-from physics.converter import SensorParameters
-from physics.drive_loops import SERVO_GAINS
-from physics.plant.bench_plant import NOMINAL
 from virtual_bus.build import GROUPS
 
+TABLE, PAGE = DOCS / "results.csv", DOCS / "results.md"
 TRUE, WINDOW = "true_relative_rmse_percent", "true_relative_rmse_window_percent"
 IDLE, JUMP = "true_max_idle_tension_n", "true_peak_jump_n"
 FIGURES = ("peak_n", "period_s", "serial", "rate_hz", TRUE, WINDOW, IDLE, JUMP, "outcome", "stop_reason", "commit")
@@ -44,8 +40,6 @@ CONTROLLERS = ("none", "friction", "impedance", "paper", "extended")
 PEAKS_N, PERIODS_S = (40.0, 50.0, 60.0), (1.1, 2.0, 4.0)
 BENCHES = 20
 """Benches of the own plant that `make reproduce` takes."""
-JUMP_BOUND = 1.5
-"""The target of the jump at the peak, % of the peak."""
 
 
 class Result(NamedTuple):
@@ -137,7 +131,7 @@ def targets(results: Sequence[Result]) -> list[Target]:
         Target("worst bench, against the worst with START ignored", worst(walking, rmse) / worst(blind, rmse), 0.75,
                "×"),
         Target("largest END at idle, all peaks and periods", worst(extended, lambda r: r.idle), 0.5, "N"),
-        Target("jump at the peak, of the peak", worst(extended, jump), JUMP_BOUND, "%"),
+        Target("jump at the peak, of the peak", worst(extended, jump), 1.5, "%"),
         Target("knee ±5° and ±10 % tempo off the reference, worst",
                worst([r for r in results if r.experiment == "departure"], rmse), 2.0, "%"),
         Target("twice the assumed delay: trials that did not complete",
@@ -145,40 +139,16 @@ def targets(results: Sequence[Result]) -> list[Target]:
     ]
 
 
-def page(results: Sequence[Result]) -> str:
-    """Return the whole page."""
+def tables(results: Sequence[Result]) -> dict[str, str]:
+    """Return the tables of docs/results.md by their marks."""
     wanted, results = len(results), [r for r in results if r.outcome]
     serials = sorted({r.serial for r in results})
-    commits = Counter(r.commit for r in results)
+    commits = ", ".join(f"{commit or 'unknown'} {count}" for commit, count in
+                        Counter(r.commit for r in results).most_common())
     part = "" if len(results) == wanted else f"**Of {wanted} trials {len(results)} have been run so far.** "
-    parts = [
-        "# Results",
-        part +
-        f"Benches: serial {serials[0]} to {serials[-1]} of {BENCHES}, identified on day 0 by `bowden identify all`, "
-        "tried on day 1. Figures are of true END, which no controller sees. `make reproduce` runs every trial on every "
-        "bench and writes this page from [results.csv](results.csv); `python -m benchmarks.reproduce --page` writes it "
-        "again from the table. Trials by commit: "
-        + ", ".join(f"{commit or 'unknown'} {count}" for commit, count in commits.most_common()) + ".",
-        "## Relative RMSE of the output force\n",
-        "RMSE over whole gait cycles divided by the peak, in %: median / worst of the benches. The paper states one "
-        "experiment, without its gait period. `extended` is judged on the two gait cycles after it has learnt for "
-        "at most seven; the others keep nothing from cycle to cycle and are judged on the second.\n\n" + _grid(results),
-        "## Targets of the extended controller\n\n" + _targets(results),
-        "## The rest of the paper's figures\n\n" + _rest(results),
-        "## Knee motion off the reference\n",
-        "The knee moves otherwise than the controller expects: by a sine of 5° a gait cycle, or faster or slower so "
-        "that it runs out of step. 40 N, 2.0 s, true END, relative RMSE in %.\n\n" + _cases(results, "departure"),
-        "## Where the remaining error comes from\n",
-        "Each line takes one source away, all else as it is (40 N, 2.0 s); what the error loses is that source's "
-        "share. Shares do not add up: errors add as squares, and feedback and learning take up what another source "
-        "leaves. For the delay there is no bench without; it is doubled instead, which no calibration tells the "
-        "controller.\n\n"
-        + _shares(results),
-        "## The jump at the peak\n",
-        _above(results) + _jumps(results),
-        "## The plant that these figures are of\n\n" + plant(),
-    ]
-    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+    return {"trials": f"{part}Benches: serial {serials[0]} to {serials[-1]} of {BENCHES}. Trials by commit: {commits}.",
+            "grid": _grid(results), "targets": _targets(results), "paper": _rest(results),
+            "departures": _departures(results), "shares": _shares(results)}
 
 
 def _pair(results: Sequence[Result], figure: Callable[[Result], float]) -> str:
@@ -211,58 +181,29 @@ def _rest(results: Sequence[Result]) -> str:
                      "jump at the peak (% of it)"], rows)
 
 
-def _cases(results: Sequence[Result], experiment: str) -> str:
-    found = [r for r in results if r.experiment == experiment]
-    rows = []
-    for case in dict.fromkeys(r.case for r in found):
-        those = [r for r in found if r.case == case]
-        rows.append([case, str(len(those)), number(middle(those, rmse)), number(worst(those, rmse))])
-    return markdown(["knee", "benches", "median", "worst"], rows)
+def _departures(results: Sequence[Result]) -> str:
+    return markdown(["knee", "benches", "median", "worst"], [
+        [case, str(len(those)), number(middle(those, rmse)), number(worst(those, rmse))]
+        for case, those in _by_case(results, "departure").items()])
+
+
+def _by_case(results: Sequence[Result], experiment: str) -> dict[str, list[Result]]:
+    cases: dict[str, list[Result]] = {}
+    for one in results:
+        if one.experiment == experiment:
+            cases.setdefault(one.case, []).append(one)
+    return cases
 
 
 def _shares(results: Sequence[Result]) -> str:
-    found = [r for r in results if r.experiment == "share"]
-    serials = {r.serial for r in found}
+    cases = _by_case(results, "share")
+    serials = {r.serial for those in cases.values() for r in those}
     all_in = [r for r in grid(results, "extended", 40.0, 2.0) if r.serial in serials]
     base = middle(all_in, rmse)
     rows = [["nothing", number(base), number(worst(all_in, rmse)), "–"]]
-    for case in dict.fromkeys(r.case for r in found):
-        those = [r for r in found if r.case == case]
-        rows.append([REMOVED[case], number(middle(those, rmse)), number(worst(those, rmse)),
-                     _signed(base - middle(those, rmse))])
-    return markdown([f"taken away (benches: {len(serials)})", "median (%)", "worst (%)", "share, by the median (%)"],
-                    rows)
-
-
-def _above(results: Sequence[Result]) -> str:
-    """Return a sentence on the trials of the extended controller whose jump exceeds the target."""
-    extended = [r for r in results if r.experiment == "grid" and r.controller == "extended"]
-    above = [f"serial {r.serial} at {r.peak_n:g} N and {r.period_s:g} s ({number(jump(r))} %)"
-             for r in extended if jump(r) > JUMP_BOUND]
-    return f"Above {JUMP_BOUND:g} % are {len(above)} of {len(extended)} trials: {', '.join(above) or 'none'}."
-
-
-def _jumps(results: Sequence[Result]) -> str:
-    found = [r for r in results if r.experiment == "jump"]
-    if not found:
-        return ""
-    serials = sorted({r.serial for r in found})
-    base = [r for r in grid(results, "extended", 40.0, 1.1) if r.serial in serials]
-    rows = [["nothing", *(number(jump(r)) for r in sorted(base, key=lambda r: r.serial))]]
-    for case in dict.fromkeys(r.case for r in found):
-        those = sorted((r for r in found if r.case == case), key=lambda r: r.serial)
-        rows.append([REMOVED[case], *(number(jump(r)) for r in those)])
-    table = markdown(["taken away", *(f"serial {serial}" for serial in serials)], rows)
-    return (" Each line takes one source away on four benches, at 40 N and 1.1 s; the jump is in % of the peak."
-            f"\n\n{table}\n\n{_decisive(base, found)}")
-
-
-def _decisive(base: Sequence[Result], found: Sequence[Result]) -> str:
-    """The one source without which the jump is least."""
-    medians = {case: middle([r for r in found if r.case == case], jump) for case in SOURCES}
-    least = min(medians, key=lambda case: medians[case])
-    return (f"Of single sources {least} matters most: without it the median falls from {number(middle(base, jump))} to "
-            f"{number(medians[least])} %.")
+    rows += [[REMOVED[case], number(middle(those, rmse)), number(worst(those, rmse)),
+              _signed(base - middle(those, rmse))] for case, those in cases.items()]
+    return markdown([f"removed (benches: {len(serials)})", "median (%)", "worst (%)", "share, by the median (%)"], rows)
 
 
 def _signed(share: float) -> str:
@@ -284,37 +225,10 @@ REMOVED = {
     "model structure": "all of them: no day, no noise, the faster drive; what is left is model structure",
 }
 """Source of error that each share's case removes, in words."""
-SOURCES = ("noise of START", "drive", "delay", "friction", "stiffness", "zero", "knee backlash")
-"""The cases that take one source away."""
 
-
-def plant() -> str:
-    """The numbers of the nominal bench that decide how hard the task is, from their declarations."""
-    knee = float(laws.knee_angle(laws.FORCE_PEAK_PERCENT))
-    cable = NOMINAL.mu1 * NOMINAL.theta1_rad
-    fabric = NOMINAL.mu2 * (NOMINAL.wrap_rad + NOMINAL.fabric_wrap * abs(knee))
-    sensor = SensorParameters()
-    return "\n".join([
-        f"- friction: μ1θ = {cable:.3f}, μ2φ = {fabric:.3f} at the peak, together {cable + fabric:.3f}; ±25 % by "
-        "serial, ±10 % by day, breakaway up to 30 % above sliding friction by day",
-        f"- pre-sliding: {NOMINAL.presliding_m * 1e3:g} mm in the sheath, {NOMINAL.fabric_presliding_m * 1e3:g} mm on "
-        "the knee, ±30 % by serial",
-        f"- drive: position loop {SERVO_GAINS.position_gain:g} 1/s, a bandwidth of 25 Hz ± 25 % by serial; Coulomb "
-        f"friction {NOMINAL.servo_coulomb_n:g} N at the rope; {NOMINAL.supply_v:g} V",
-        "- delay: inputs latched at SYNC k, targets taken over at k + 1, seen at k + 2: 2 ms at 1 kHz",
-        f"- sensors: noise {sensor.noise_n:g} N rms before a low-pass of {sensor.cutoff_hz:g} Hz; gain ± 0.5 % and "
-        "offset ± 0.1 N by serial, START's offset ± 0.2 N by day",
-        "- stiffness: (10), ± 10 % by serial, ± 3 % by day, and creep; encoder zero ± 0.1 mm by day; 0.3° of backlash "
-        "in the knee's reducer by day",
-    ])
-
-
-SERIALS, QUICK_SERIALS = range(1, 1 + BENCHES), range(1, 3)
+SERIALS = range(1, 1 + BENCHES)
 DEPARTING, SHARED = range(1, 9), range(1, 6)
 """Benches whose knee departs, and those that the shares of the error are taken of: fewer, for the time it takes."""
-JUMPING = (1, 5, 14, 16)
-"""Benches that the shares of the jump at the peak, at 40 N and 1.1 s, are taken of: those above its target are among
-them."""
 WITHOUT_MEMORY = (2, 1)
 """Gait cycles, and how many of them are left out, of the controllers that keep nothing from cycle to cycle."""
 LEARNING = {1.1: (9, 7), 2.0: (8, 6), 4.0: (5, 3)}
@@ -370,16 +284,14 @@ def wanted(serials: Sequence[int]) -> list[Wanted]:
                  for case, more in DEPARTURES.items() for serial in serials if serial in DEPARTING]
     shares = [Wanted("share", case, row(serial, "extended", 40.0, 2.0, **more))
               for case, more in SHARES.items() for serial in serials if serial in SHARED]
-    jumps = [Wanted("jump", case, row(serial, "extended", 40.0, 1.1, **more))
-             for case, more in SHARES.items() for serial in serials if serial in JUMPING]
-    return sorted(grid + ignored + departing + shares + jumps, key=_telling)
+    return sorted(grid + ignored + departing + shares, key=_telling)
 
 
 def _telling(result: Wanted) -> int:
     """Order by what the page needs first, as a run may be interrupted: the targets, then the paper, then the rest."""
     controller, period_s = result.row["gait.controller"], result.row["gait.period_s"]
     if result.experiment != "grid":
-        return {"START ignored": 1, "departure": 3, "share": 4, "jump": 4}[result.experiment]
+        return {"START ignored": 1, "departure": 3, "share": 4}[result.experiment]
     return {"extended": 0 if period_s in PERIODS_S[:2] else 5, "paper": 2}.get(str(controller), 6)
 
 
@@ -417,30 +329,22 @@ def _short(cell: str) -> str:
         return cell
 
 
-def write_csv(path: Path, lines: Iterable[Mapping[str, str]]) -> None:
-    """Write the page's cells."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(lines)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run, tabulate, write the page."""
+    """Run the trials, write the table and the page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.reproduce")
-    parser.add_argument("--quick", action="store_true", help="two benches, into out/")
-    parser.add_argument("--benches", type=int, default=len(SERIALS), help="only the first so many")
+    parser.add_argument("--benches", type=int, default=BENCHES, help="only the first so many")
     parser.add_argument("--page", action="store_true", help="only write docs/results.md from docs/results.csv")
     parser.add_argument("--workers", type=int)
     options = parser.parse_args(arguments)
-    folder, name = (OUT, "quick") if options.quick else (DOCS, "results")
     if not options.page:
         OUT.mkdir(exist_ok=True)
-        results = wanted(QUICK_SERIALS if options.quick else SERIALS[:options.benches])
-        write_csv(folder / f"{name}.csv", run(
-            results, OUT / ("reproduce_quick.csv" if options.quick else "reproduce.csv"), options.workers))
-    text = page(read(folder / f"{name}.csv"))
-    (folder / f"{name}.md").write_text(text, encoding="utf-8")
+        lines = run(wanted(SERIALS[:options.benches]), OUT / "reproduce.csv", options.workers)
+        with TABLE.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(lines)
+    text = filled(PAGE, tables(read(TABLE)))
+    PAGE.write_text(text, encoding="utf-8")
     sys.stdout.write(text)
 
 

@@ -2,17 +2,15 @@
 
     python -m benchmarks.strides [DIRECTORY] [--minutes 7] [--kind own]
 
-A walk of `WALKS` plays the recorded strides of DIRECTORY (../shared/data/gait unless told) in random order, with
-stumbles, stops and a seat, while the rope's zero moves.  A bench is walked on day 1 by the calibration that
-docs/unseen.csv has of day 0.  Walks that docs/strides.csv lacks are walked until the minutes are over; then the page is
-written, its pictures from the recordings that are kept.
+A walk of `WALKS` plays the recorded strides of DIRECTORY (default ../shared/data/gait) in random order, with stumbles,
+stops and a seat, while the rope's zero moves.  A bench is walked on day 1 by the calibration of day 0 that
+docs/unseen.csv has.  Walks that docs/strides.csv lacks are run until the minutes are over; then the tables of the page
+are written, and its picture from the recordings that exist.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
-import json
 import math
 import sys
 import time
@@ -24,15 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import family, frame
-from benchmarks.frame import OUT, ROOT, markdown
-from physics.calibration import write
+from benchmarks.frame import DOCS, OUT, ROOT, markdown
 from physics.laws import desired_force
 from physics.stride_walk import Stride, curve
 from trial.curves import read_curve, read_strides
 
 Floats = NDArray[np.float64]
 
-TABLE, PAGE, KNEE = ROOT / "docs" / "strides.csv", ROOT / "docs" / "strides.md", OUT / "strides.csv"
+TABLE, PAGE, KNEE = DOCS / "strides.csv", DOCS / "strides.md", OUT / "strides.csv"
+KEYS = ("kind", "serial", "seed")
 PEAK_N, PERIOD_S = 40.0, 1.2
 STRIDES = 60
 INTERRUPTED = {"stumbles": 2, "stops": 2, "sits": 1}
@@ -46,7 +44,6 @@ WALKS: tuple[dict[str, Any], ...] = tuple(
 MOVES_HZ = 0.001
 """Frequency of the sine that moves the zero of the own plant, Hz; a walk lasts for its nearly straight beginning."""
 RMSE, TRUE_RMSE = "rmse_percent", "true_phase_rmse_percent"
-SPREAD = ("median", "percentile_95", "worst")
 BARS = (
     ("walks", ""), ("strides that count", ""), ("with the whole force", ""),
     *((f"RMSE {against}, {part} (%)", bar)
@@ -78,8 +75,7 @@ def strides_of(directory: Path, path: Path) -> Path:
 def calibration(kind: str, serial: int) -> Path:
     """Return the file of a bench's calibration, which docs/unseen.csv has of day 0."""
     kept = OUT / f"strides-{kind}-{serial}.toml"
-    known = family.read(ROOT / "docs" / "unseen.csv")[kind, serial]
-    kept.write_text(write(family.calibration_of(known)), encoding="utf-8")
+    kept.write_text(family.read(family.TABLE)[kind, serial]["calibration"], encoding="utf-8")
     return kept
 
 
@@ -122,14 +118,6 @@ def walked(walk: Mapping[str, Any], knee: Path) -> dict[str, Any]:
     return {**walk, "outcome": found["outcome"], "stop_reason": found["stop_reason"], "walk": found["walk"]}
 
 
-def table() -> dict[str, dict[str, Any]]:
-    """Return the rows of docs/strides.csv by the names of their walks."""
-    if not TABLE.exists():
-        return {}
-    with TABLE.open(newline="", encoding="utf-8") as file:
-        return {key: json.loads(text) for key, text in csv.reader(file)}
-
-
 def counted(rows: Sequence[Mapping[str, Any]], key: str) -> list[float]:
     """Return a figure of each uninterrupted stride but the first.
 
@@ -138,18 +126,6 @@ def counted(rows: Sequence[Mapping[str, Any]], key: str) -> list[float]:
     return [one[key] for row in rows if row["walk"] for one in row["walk"]["by_stride"]
             if one["kind"] == "walk" and one["stride"] >= 1 and one[key] is not None
             and (one["assisted"] or key != TRUE_RMSE)]
-
-
-def described(row: Mapping[str, Any]) -> list[str]:
-    """Return the cells of a walk in the page's table."""
-    walk = row["walk"]
-    if walk is None:
-        return [name(row), f"{row['stop_reason']}", *[""] * 10]
-    return [f"{row['kind']} {row['serial']}", str(row["seed"]), f"{row['migration_mm']:g}",
-            f"{walk['strides']}, {walk['assisted']}, {walk['interrupted']}",
-            *(number(walk[RMSE][part]) for part in SPREAD), *(number(walk[TRUE_RMSE][part]) for part in SPREAD),
-            number(walk["phase_error_rms_percent"]), number(walk["idle_n"]), number(walk["off_phase_ms"]),
-            row["outcome"] if row["stop_reason"] is None else f"stopped: {row['stop_reason']}"]
 
 
 def limit(strides: Sequence[Stride], draws: int = 100) -> list[float]:
@@ -191,43 +167,15 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             str(sum(row["outcome"] != "completed" for row in rows))]
 
 
-def page(rows: Sequence[Mapping[str, Any]], bound: Sequence[float]) -> str:
-    """Return the text of docs/strides.md; `bound`: median, 95 % and worst RMSE of a stride, %, that `limit` returns."""
+def tables(rows: Sequence[Mapping[str, Any]], bound: Sequence[float]) -> dict[str, str]:
+    """Return the tables of docs/strides.md by their marks; `bound`: RMSE of a stride, %, that `limit` returns."""
     columns = [summary([row for row in rows if row["kind"] in kinds])
                for kinds in (("own", "family"), ("own",), ("family",))]
-    parts = [
-        "# Strides that differ", INTRODUCTION,
-        markdown(["figure", "bar", "all", "own benches", "family"],
-                 [(*row, *figures) for row, *figures in zip(BARS, *columns, strict=True)]),
-        TRUE_PHASE.format(*map(number, bound)),
-        "## Walks",
-        markdown(["bench", "seed", "migration (mm)", "strides, with force, interrupted", "asked: median", "95 %",
-                  "worst", "true phase: median", "95 %", "worst", "phase (%)", "idle (N)", "off phase (ms)", "outcome"],
-                 [described(row) for row in rows]),
-        "## Best, median and worst stride",
-        "Of all strides that count, by RMSE against the force asked for. Grey: desired force at the true phase.",
-        "![Best, median and worst stride](strides.svg)",
-    ]
-    return "\n\n".join(parts) + "\n"
-
-
-INTRODUCTION = f"""\
-`python -m benchmarks.strides` writes this page: eleven recorded strides of one walker in random order, each with a
-drawn period (± 8 %) and amplitude (± 10 %), among them two stumbles, two stops and one seat, while the garment
-migrates. The force follows the phase that is felt from the knee angle alone ([walking](walking.md)). A walk is `bowden
-trial --knee FILE --strides {STRIDES} --stumbles 2 --stops 2 --sits 1 --controller extended --peak {PEAK_N:g} --period
-{PERIOD_S:g}` on day 1, by a calibration of day 0. The family's benches share no code with the controller's model
-([family](family.md)); drag of a loose rope at END counts in their RMSE. Two walks were stopped
-at first and walked again with the check corrected that had stopped them: seed 1006 by one of the knee encoder, which
-took a knee sticking as it turned back for a frozen one, seed 1033 by one of the servo drive, which took a torque that
-lags its demand for a stage with the wrong sign."""
-TRUE_PHASE = """\
-The bars of RMSE are read as those against the force asked for, at the felt phase: an error of the phase of 1 %
-while the force acts costs 5 % of the peak at the true phase, so that the bar of the phase, 1.5 %, forbids 0.6 %
-there. At the true phase, which is what the wearer feels, they are missed. The cause is the stride: its period
-is drawn as it begins, the force acts from 10 to 30 % of it, and the knee tells little of the period by then. A
-regression of the period on the knee angle, told the exact beginning of each stride, fitted to ten of the
-strides and judged on the eleventh, would have a median of {}, 95 % below {} and a worst stride of {} %."""
+    return {
+        "figures": markdown(["figure", "bar", "all", "own benches", "family"],
+                            [(*row, *figures) for row, *figures in zip(BARS, *columns, strict=True)]),
+        "regression": markdown(["RMSE at the true phase by the regression", "median", "95 %", "worst"],
+                               [("% of the peak", *map(number, bound))])}
 
 
 def strides_by_rank(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, Mapping[str, Any], int]]:
@@ -272,7 +220,7 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Walk what the table lacks, write the table and the page."""
+    """Run the walks that the table lacks, write the table and the page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.strides")
     parser.add_argument("directory", nargs="?", type=Path, default=ROOT.parent / "shared" / "data" / "gait")
     parser.add_argument("--minutes", type=float, default=0.0)
@@ -280,18 +228,15 @@ def main(arguments: Sequence[str]) -> None:
     options = parser.parse_args(arguments)
     OUT.mkdir(parents=True, exist_ok=True)
     sys.path.insert(0, str(ROOT))  # the family is a plug-in of the tests
-    began, lacking = time.monotonic(), [
-        walk for walk in WALKS if options.kind in (None, walk["kind"]) and name(walk) not in table()]
-    for walk in lacking:
-        if time.monotonic() - began > 60.0 * options.minutes:
-            break
-        row = walked(walk, strides_of(options.directory, KNEE))
-        with TABLE.open("a", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerow([name(walk), json.dumps(row)])
-        print(*described(row), sep=" | ", flush=True)
-    rows, recorded = list(table().values()), [
-        Stride(one.percent, one.values, math.nan) for one in read_strides(strides_of(options.directory, KNEE))]
-    PAGE.write_text(page(rows, limit(recorded)), encoding="utf-8")
+    strides, until = strides_of(options.directory, KNEE), time.monotonic() + 60.0 * options.minutes
+    known = {name(row) for row in frame.rows(TABLE)}
+    for walk in WALKS:
+        if name(walk) in known or options.kind not in (None, walk["kind"]) or time.monotonic() > until:
+            continue
+        frame.write_rows(TABLE, KEYS, [row := walked(walk, strides)], "a")
+        print(f"{name(row)}: {row['outcome']} {row['stop_reason'] or ''}", flush=True)
+    rows, recorded = frame.rows(TABLE), [Stride(one.percent, one.values, math.nan) for one in read_strides(strides)]
+    PAGE.write_text(frame.filled(PAGE, tables(rows, limit(recorded))), encoding="utf-8")
     draw(rows, PAGE.with_suffix(".svg"))
 
 

@@ -1,13 +1,14 @@
-"""The first day of five users, typed: `python -m benchmarks.walk [--user data|controller|can|months|bench …]`.
+"""Commands of the first day of five users: `python -m benchmarks.walk [--user data|controller|can|months|bench …]`.
 
-Prints for each user the time to the first success, and for each command its time, exit status and messages.  Ends
-with 1 if a command meets a traceback or another exit status than the walk expects.
+Prints for each user the time to the first success, and for each command its time, exit status and messages.  Exits
+with status 1 if a command prints a traceback or ends with another exit status than expected.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import os
 import subprocess
 import sys
 import tempfile
@@ -39,7 +40,7 @@ class Own(Controller[None]):
 
 
 class Typed(NamedTuple):
-    """A command line behind `bowden`, the exit status that the walk expects, and whether it is the user's aim."""
+    """Command line after `bowden`, its expected exit status, and whether it is the user's aim."""
 
     words: str
     status: int = 0
@@ -83,11 +84,11 @@ USERS: Final[dict[str, tuple[Callable[[], None], tuple[Typed, ...]]]] = {
         Typed(f"trial --config bench.toml {SHORT} -o legs.mcap", success=True),
         Typed("report legs.mcap -o legs.html"), Typed("diagnose legs.mcap", 2))),
 }
-"""Users by name: what lies in the folder before, and the commands."""
+"""Users by name: a function that writes their files, and their commands."""
 
 
 def walk(name: str) -> bool:
-    """Type one user's commands in an empty folder and print what they meet; return whether all went as expected."""
+    """Run one user's commands in an empty folder and print their messages; return whether all ended as expected."""
     prepare, commands = USERS[name]
     prepare()
     began, first, good = time.monotonic(), None, True
@@ -107,9 +108,7 @@ def walk(name: str) -> bool:
 
 
 def main() -> int:
-    """Walk as the named users, or as all of them."""
-    import os
-
+    """Run the commands of the named users, or of all."""
     asked = argparse.ArgumentParser(description=__doc__)
     asked.add_argument("--user", nargs="*", default=list(USERS), choices=list(USERS))
     good = True

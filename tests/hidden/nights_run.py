@@ -38,7 +38,7 @@ SHOWS: Final = 0.1
 
 def nights(aside: bool) -> Iterator[tuple[int, str]]:
     """Serial and hidden effect of each night, "" for none: kinds in turns, so that any part of them has each kind."""
-    known = family.read(ROOT / "docs" / "unseen.csv")
+    known = family.read(family.TABLE)
     serials = [s for s in (family.SET_ASIDE if aside else family.DEVELOPMENT)
                if "failed" not in known["family", s]]
     step, outside = round(len(HIDDEN) * 0.618), tuple(effects.OUTSIDE)
@@ -62,10 +62,7 @@ def true_percent(path: Path, settle: int = 1) -> float:
 def night(serial: int, hidden: str, folder: Path) -> dict[str, Any]:
     """Run one night; return its row."""
     model = folder / "calibration.toml"
-    from physics.calibration import write
-
-    known = family.read(ROOT / "docs" / "unseen.csv")["family", serial]
-    model.write_text(write(family.calibration_of(known)), encoding="utf-8")
+    model.write_text(family.read(family.TABLE)["family", serial]["calibration"], encoding="utf-8")
 
     def bus(seed: int, *changed: str) -> Any:
         plant = stack.plant_name(serial, 0, effects=changed, draw=serial if changed else None)

@@ -6,11 +6,13 @@ import logging
 
 import pytest
 
-from benchmarks import interop
+from benchmarks.frame import filled
+from tests.foreign import interop
 from tests.foreign.peers import npm_absent
 
-ROWS = [[cell.strip() for cell in line.strip("|").split("|")]
-        for line in interop.PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
+LINES = interop.PAGE.read_text(encoding="utf-8").splitlines()
+ROWS = [[cell.strip() for cell in line.strip("|").split("|")] for line in LINES
+        if line.startswith("| ") and "---" not in line]
 
 
 @pytest.fixture(autouse=True)
@@ -28,9 +30,9 @@ def column(head: str, stack: str) -> dict[str, str]:
 
 @pytest.mark.parametrize("stack", ["bowden", "canopen (Python)"])
 def test_the_cells_of_python_stacks_are_those_of_the_page(stack: str) -> None:
-    assert column("device", stack) == {name: interop.device_cell(interop.DEVICES[stack], service)
+    assert column("device", stack) == {name: interop.cell(interop.DEVICES[stack], service)
                                        for name, service in interop.DEVICE_SERVICES.items()}
-    assert column("master", stack) == {name: interop.master_cell(interop.MASTERS[stack], service)
+    assert column("master", stack) == {name: interop.cell(interop.MASTERS[stack], service)
                                        for name, service in interop.MASTER_SERVICES.items()}
 
 
@@ -40,7 +42,7 @@ def test_the_page_is_what_the_command_writes() -> None:
     if absent := npm_absent():
         pytest.skip(absent)
     try:
-        assert interop.page() == interop.PAGE.read_text(encoding="utf-8")
+        assert filled(interop.PAGE, interop.tables()) == interop.PAGE.read_text(encoding="utf-8")
     finally:
         logging.disable(logging.NOTSET)
 

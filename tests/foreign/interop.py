@@ -1,21 +1,20 @@
 """Interoperability of CANopen stacks: each service, both ways, tried on the virtual bus; writes docs/interop.md.
 
-`python -m benchmarks.interop` prints the page, `--write` writes it. npm's canopen is needed (of `.ci/nightly`).
+`python -m tests.foreign.interop` needs npm's canopen, which `.ci/nightly` installs.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import importlib.metadata
 import json
 import logging
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any, Final
 
 import canopen
 
+from benchmarks.frame import DOCS, filled, markdown
 from bowden.bench.buses import clock_of
 from bowden.testing import CanBus
 from eds.cia301 import Abort, NmtCommand
@@ -28,20 +27,18 @@ from master.node_access.lss_master import LssMaster, LssRefusalError
 from tests.foreign.peers import MODULES, CanopenLocalNode, NpmNode
 from tests.virtual_bus.test_virtual_python_can_suite import DIFFERENT, NAMES
 
-PAGE: Final = Path(__file__).parents[1] / "docs" / "interop.md"
+PAGE: Final = DOCS / "interop.md"
 NODE: Final = 5
 NAME: Final = b"Bowden knee drive"
 IDENTITY: Final = LssAddress(0xB0DE00, 2, 0x10000, 0)
 
 
+Service = tuple[str, Callable[[Any], object]]
+"""Reason of a cell if the service fails, and a function that returns whether it works."""
+
+
 class LackingError(Exception):
-    """A stack lacks a service; the text is the reason in the table."""
-
-
-def demand(fulfilled: object, otherwise: str) -> None:
-    """Raise `LackingError` with the reason where a demand is not fulfilled."""
-    if not fulfilled:
-        raise LackingError(otherwise)
+    """A master lacks a service."""
 
 
 # ---- devices: our master asks each of them ----
@@ -98,121 +95,112 @@ def npm_device() -> Iterator[DeviceOnBus]:
         peer.close()
 
 
-def d_boot_up(on: DeviceOnBus) -> None:
+def device_boots(on: DeviceOnBus) -> object:
     booted = on.frames_after(lambda: on.nmt(NmtCommand.RESET_COMMUNICATION), 0x700 + NODE)
-    demand(booted and booted[0].data == b"\0", "sends no boot-up after a reset")
+    return booted and booted[0].data == b"\0"
 
 
-def d_nmt(on: DeviceOnBus) -> None:
+def device_gates_sdo(on: DeviceOnBus) -> object:
     on.nmt(NmtCommand.STOP)
     with contextlib.suppress(SdoError):
         on.link.sdo_read(NODE, 0x1000)
-        raise LackingError("answers SDO in STOPPED")
+        return False
     on.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
-    on.link.sdo_read(NODE, 0x1000)
+    return on.link.sdo_read(NODE, 0x1000)
 
 
-def d_heartbeat(on: DeviceOnBus) -> None:
+def device_beats(on: DeviceOnBus) -> object:
     beats = on.frames_after(lambda: on.link.sdo_write(NODE, 0x1017, 0, b"\x64\0"), 0x700 + NODE, 0.55)
-    demand(len(beats) >= 5 and beats[-1].data == b"\x7f", "sends no heartbeat of the period in 0x1017")
+    return len(beats) >= 5 and beats[-1].data == b"\x7f"
 
 
-def d_expedited(on: DeviceOnBus) -> None:
-    on.link.sdo_write(NODE, 0x6065, 0, (2000).to_bytes(4, "little"))
-    demand(on.link.sdo_read(NODE, 0x6065) == (2000).to_bytes(4, "little"), "does not keep the value")
+def device_keeps(on: DeviceOnBus, value: int, **options: bool) -> object:
+    on.link.sdo_write(NODE, 0x6065, 0, value.to_bytes(4, "little"), **options)
+    return on.link.sdo_read(NODE, 0x6065) == value.to_bytes(4, "little")
 
 
-def d_segmented(on: DeviceOnBus) -> None:
-    demand(on.link.sdo_read(NODE, 0x1008) == NAME, "reads another text")
-
-
-def d_block_upload(on: DeviceOnBus) -> None:
+def device_uploads_blocks(on: DeviceOnBus) -> object:
     since = on.bus.now_ns
     with contextlib.suppress(SdoError):
-        demand(on.link.sdo_read(NODE, 0x1008, block=True) == NAME, "reads another text")
-    demand(on.bus.frames(0x580 + NODE, since_ns=since)[0].data[0] >> 5 == 6, "answers by the segmented transfer")
+        on.link.sdo_read(NODE, 0x1008, block=True)
+    return on.bus.frames(0x580 + NODE, since_ns=since)[0].data[0] >> 5 == 6
 
 
-def d_block_download(on: DeviceOnBus) -> None:
-    on.link.sdo_write(NODE, 0x6065, 0, (3000).to_bytes(4, "little"), block=True)
-    demand(on.link.sdo_read(NODE, 0x6065) == (3000).to_bytes(4, "little"), "does not keep the value")
-
-
-def d_abort(on: DeviceOnBus) -> None:
+def device_aborts(on: DeviceOnBus) -> object:
     for index, code in ((0x9999, Abort.NO_OBJECT), (0x1018, Abort.READ_ONLY)):
         try:
             on.link.sdo_write(NODE, index, int(index == 0x1018), bytes(4))
         except SdoError as error:
-            demand(f"{code:08X}" in str(error).upper(), f"refuses with another code than {code:08X}h ({code.text})")
-        else:
-            raise LackingError(f"takes a write that {code:08X}h ({code.text}) refuses")
+            if f"{code:08X}" in str(error).upper():
+                continue
+        return False
+    return True
 
 
-def d_tpdo_on_change(on: DeviceOnBus) -> None:
+def device_sends_on_change(on: DeviceOnBus) -> object:
     on.nmt(NmtCommand.START)
     sent = on.frames_after(on.change, 0x180 + NODE, 0.02)
-    demand(sent and sent[-1].data[:1] == b"\x21", "sends no TPDO when a mapped object changes (type 255)")
+    return sent and sent[-1].data[:1] == b"\x21"
 
 
-def d_tpdo_on_sync(on: DeviceOnBus) -> None:
+def device_sends_on_sync(on: DeviceOnBus) -> object:
     on.link.sdo_write(NODE, 0x1800, 1, (0xC0000000 | 0x180 + NODE).to_bytes(4, "little"))
     on.link.sdo_write(NODE, 0x1800, 2, b"\x01")
     on.link.sdo_write(NODE, 0x1800, 1, (0x40000000 | 0x180 + NODE).to_bytes(4, "little"))
     on.nmt(NmtCommand.START)
-    demand(len(on.frames_after(lambda: on.link.send(0x80, b""), 0x180 + NODE, 0.02)) == 1, "sends no TPDO at SYNC")
+    return len(on.frames_after(lambda: on.link.send(0x80, b""), 0x180 + NODE, 0.02)) == 1
 
 
-def d_rpdo(on: DeviceOnBus) -> None:
+def device_receives(on: DeviceOnBus) -> object:
     on.nmt(NmtCommand.START)
     on.link.send(0x200 + NODE, b"\x06\0")
     on.link.wait(1_000_000)
-    demand(on.link.sdo_read(NODE, 0x6040) == b"\x06\0", "an RPDO does not reach the dictionary")
+    return on.link.sdo_read(NODE, 0x6040) == b"\x06\0"
 
 
-def d_mapping(on: DeviceOnBus) -> None:
+def device_maps(on: DeviceOnBus) -> object:
     words = pdo_settings.words("6041,6064", read(packaged("knee_drive"), NODE))
     pdo_settings.configure(on.link, NODE, 0x1800, words)
     on.nmt(NmtCommand.START)
     sent = on.frames_after(on.change, 0x180 + NODE, 0.02)
-    demand(not sent or len(sent[-1].data) == 6, "sends the old mapping after a new one was written")
+    return not sent or len(sent[-1].data) == 6
 
 
-def d_emcy(on: DeviceOnBus) -> None:
+def device_reports(on: DeviceOnBus) -> object:
     sent = on.frames_after(on.emcy, 0x80 + NODE, 0.02)
-    demand(sent and sent[0].data[:2] == b"\x10\x43", "sends no EMCY")
-    demand(on.link.sdo_read(NODE, 0x1001) != b"\0", "an EMCY does not set 0x1001")
+    return sent and sent[0].data[:2] == b"\x10\x43" and on.link.sdo_read(NODE, 0x1001) != b"\0"
 
 
-def d_store(on: DeviceOnBus) -> None:
-    on.link.sdo_write(NODE, 0x6065, 0, (2000).to_bytes(4, "little"))
+def device_stores(on: DeviceOnBus) -> object:
+    device_keeps(on, 2000)
     on.link.sdo_write(NODE, 0x1010, 1, b"save")
-    on.link.sdo_write(NODE, 0x6065, 0, (9).to_bytes(4, "little"))
+    device_keeps(on, 9)
     on.nmt(NmtCommand.RESET_NODE)
     on.link.wait(100_000_000)
-    demand(on.link.sdo_read(NODE, 0x6065) == (2000).to_bytes(4, "little"), "0x1010 stores nothing")
+    return on.link.sdo_read(NODE, 0x6065) == (2000).to_bytes(4, "little")
 
 
-def d_lss(on: DeviceOnBus) -> None:
+def device_is_selected(on: DeviceOnBus) -> object:
     master = LssMaster(on.link)
-    demand(master.select(IDENTITY), "does not confirm its selection by identity (44h)")
-    demand(master.node_id() == NODE, "does not tell its node id")
+    return master.select(IDENTITY) and master.node_id() == NODE
 
 
-def d_lss_store(on: DeviceOnBus) -> None:
+def device_stores_bit_timing(on: DeviceOnBus) -> object:
     master = LssMaster(on.link)
     master.configure_all(True)
     master.configure_bitrate(500_000)
     master.store()
+    return True
 
 
 # ---- masters: each of them asks our device ----
 
 
 class MasterOnBus:
-    """A foreign or own master on the bus of our knee drive, node 5, as the functions that a service needs."""
+    """A master on the bus of our knee drive, as the functions that a service needs."""
 
-    def __init__(self, **does: Callable[..., Any]) -> None:
-        self.does = does
+    def __init__(self, bus: CanBus, node: Any, **does: Callable[..., Any]) -> None:
+        self.bus, self.node, self.does = bus, node, does
 
     def __call__(self, what: str, *given: Any) -> Any:
         if what not in self.does:
@@ -221,14 +209,14 @@ class MasterOnBus:
 
 
 @contextlib.contextmanager
-def our_master(node_id: int = NODE) -> Iterator[tuple[CanBus, Any, MasterOnBus]]:
+def our_master(node_id: int = NODE) -> Iterator[MasterOnBus]:
     """Our link and LSS master."""
     bus = CanBus()
     node = bus.add_node("knee_drive", node_id)
     opened = bus.open()
     link = Link(opened, clock_of(opened), heartbeat_ms=None)
     lss = LssMaster(link)
-    yield bus, node, MasterOnBus(
+    yield MasterOnBus(bus, node,
         start=lambda: (link.nmt(NmtCommand.START, NODE), link.wait(1_000_000)),
         boot_up=lambda: (link.nmt(NmtCommand.RESET_NODE, NODE), link.await_state(NODE, 0, 10**9))[1],
         state=lambda: (link.wait(300_000_000), link.beats[NODE].state)[1],
@@ -256,7 +244,7 @@ def _link_emcy(link: Link, act: Callable[[], object]) -> int:
 
 
 @contextlib.contextmanager
-def canopen_master(node_id: int = NODE) -> Iterator[tuple[CanBus, Any, MasterOnBus]]:
+def canopen_master(node_id: int = NODE) -> Iterator[MasterOnBus]:
     """python canopen's `Network`, its waits in bus time."""
     bus = CanBus()
     node = bus.add_node("knee_drive", node_id)
@@ -279,7 +267,7 @@ def canopen_master(node_id: int = NODE) -> Iterator[tuple[CanBus, Any, MasterOnB
                 stream.write(data)
 
         lss = network.lss
-        yield bus, node, MasterOnBus(
+        yield MasterOnBus(bus, node,
             start=lambda: (remote.nmt.send_command(1), bus.run(0.001)), read=read, write=write, received=received,
             boot_up=lambda: (remote.nmt.send_command(129), remote.nmt.wait_for_bootup(timeout=1), True)[-1],
             state=lambda: {"PRE-OPERATIONAL": 127}.get(remote.nmt.wait_for_heartbeat(timeout=1)),
@@ -294,7 +282,7 @@ def canopen_master(node_id: int = NODE) -> Iterator[tuple[CanBus, Any, MasterOnB
 
 
 @contextlib.contextmanager
-def npm_master(node_id: int = NODE) -> Iterator[tuple[CanBus, Any, MasterOnBus]]:
+def npm_master(node_id: int = NODE) -> Iterator[MasterOnBus]:
     """npm canopen's `Device` as node 1 without an EDS, its timers in bus time."""
     bus = CanBus()
     node = bus.add_node("knee_drive", node_id)
@@ -322,7 +310,7 @@ def npm_master(node_id: int = NODE) -> Iterator[tuple[CanBus, Any, MasterOnBus]]
         return int(call("return device.getValue(0x2000)")).to_bytes(2, "little")
 
     try:
-        yield bus, node, MasterOnBus(
+        yield MasterOnBus(bus, node,
             start=lambda: call("device.nmt.startNode(5)"), read=read, write=write, received=received,
             state=lambda: call("return await device.nmt.getNodeState(5, 500)"),
             pdo=lambda: call(
@@ -341,166 +329,126 @@ def npm_master(node_id: int = NODE) -> Iterator[tuple[CanBus, Any, MasterOnBus]]
         peer.close()
 
 
-def m_start(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    master("start")
-    demand(node.state.name == "OPERATIONAL", "the command does not arrive")
+def master_starts(on: MasterOnBus) -> object:
+    on("start")
+    return on.node.state.name == "OPERATIONAL"
 
 
-def m_boot_up(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    demand(master("boot_up"), "no boot-up is noticed")
+def master_follows_state(on: MasterOnBus) -> object:
+    on("write", 0x1017, b"\x64\0", False)
+    return on("state") == 127
 
 
-def m_heartbeat(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    master("write", 0x1017, b"\x64\0", False)
-    demand(master("state") == 127, "does not tell the state that the heartbeats carry")
+def master_writes(on: MasterOnBus, value: int, block: bool) -> object:
+    on("write", 0x6065, value.to_bytes(4, "little"), block)
+    return on.node[0x6065] == value
 
 
-def m_expedited(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    master("write", 0x6065, (2000).to_bytes(4, "little"), False)
-    demand(master("read", 0x6065, 0, False) == (2000).to_bytes(4, "little"), "reads another value")
-
-
-def m_segmented(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    demand(master("read", 0x1008, 0, False) == NAME, "reads another text")
-
-
-def m_block_upload(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    demand(master("read", 0x1008, 0, True) == NAME, "reads another text")
-
-
-def m_block_download(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    master("write", 0x6065, (3000).to_bytes(4, "little"), True)
-    demand(node[0x6065] == 3000, "another value arrives")
-
-
-def m_abort(bus: CanBus, node: Any, master: MasterOnBus) -> None:
+def master_reports_abort(on: MasterOnBus) -> object:
     try:
-        master("read", 0x9999, 0, False)
+        on("read", 0x9999, 0, False)
     except LackingError:
         raise
     except Exception as error:
         text = f"{error} {getattr(error, 'code', '')}".lower()
-        demand("06020000" in text or "not exist" in text or str(0x06020000) in text, f"reports {error}")
-        return
-    raise LackingError("does not report the abort")
+        return "06020000" in text or "not exist" in text or str(0x06020000) in text
+    return False
 
 
-def m_tpdo(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    master("start")
-    demand(master("received", lambda: node.__setitem__(0x6041, 0x21))[:1] == b"\x21", "no TPDO is received")
+def master_receives(on: MasterOnBus) -> object:
+    on("start")
+    return on("received", lambda: on.node.__setitem__(0x6041, 0x21))[:1] == b"\x21"
 
 
-def m_rpdo(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    master("start")
-    master("pdo")
-    bus.run(0.001)
-    demand(node[0x6040] == 6, "the RPDO does not arrive")
+def master_sends(on: MasterOnBus) -> object:
+    on("start")
+    on("pdo")
+    on.bus.run(0.001)
+    return on.node[0x6040] == 6
 
 
-def m_sync(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    since = bus.now_ns
-    master("sync")
-    demand(len(bus.frames(0x80, since_ns=since)) >= 8, "sends no SYNC of 10 ms")
+def master_sends_sync(on: MasterOnBus) -> object:
+    since = on.bus.now_ns
+    on("sync")
+    return len(on.bus.frames(0x80, since_ns=since)) >= 8
 
 
-def m_emcy(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    demand(master("emcy", lambda: node.emergency(0x4310, 8)) == 0x4310, "no EMCY is noticed")
-
-
-def m_select(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    demand(master("select"), "the selection is not confirmed")
-
-
-def m_fastscan(bus: CanBus, node: Any, master: MasterOnBus) -> None:
-    demand(master("fastscan") == [*IDENTITY], "finds another identity")
-    demand(master("assign", NODE) and node.node_id == NODE, "the device gets no node id")
+def master_scans(on: MasterOnBus) -> object:
+    return on("fastscan") == [*IDENTITY] and on("assign", NODE) and on.node.node_id == NODE
 
 
 DEVICES: Final = {"bowden": our_device, "canopen (Python)": canopen_device, "canopen (npm)": npm_device}
-DEVICE_SERVICES: Final = {
-    "boot-up after NMT reset": d_boot_up, "NMT states gate SDO": d_nmt, "heartbeat producer": d_heartbeat,
-    "SDO expedited": d_expedited, "SDO segmented": d_segmented, "SDO block upload": d_block_upload,
-    "SDO block download": d_block_download, "SDO abort codes": d_abort, "TPDO on change": d_tpdo_on_change,
-    "TPDO at SYNC": d_tpdo_on_sync, "RPDO": d_rpdo, "PDO mapping by SDO": d_mapping, "EMCY and 0x1001": d_emcy,
-    "store 0x1010": d_store, "LSS selection": d_lss, "LSS bit timing and store": d_lss_store,
+DEVICE_SERVICES: Final[dict[str, Service]] = {
+    "boot-up after NMT reset": ("sends no boot-up after a reset", device_boots),
+    "NMT states gate SDO": ("answers SDO in STOPPED", device_gates_sdo),
+    "heartbeat producer": ("sends no heartbeat of the period in 0x1017", device_beats),
+    "SDO expedited": ("does not keep the value", lambda on: device_keeps(on, 2000)),
+    "SDO segmented": ("reads another text", lambda on: on.link.sdo_read(NODE, 0x1008) == NAME),
+    "SDO block upload": ("answers by the segmented transfer", device_uploads_blocks),
+    "SDO block download": ("does not keep the value", lambda on: device_keeps(on, 3000, block=True)),
+    "SDO abort codes": ("accepts the write, or refuses it with another code", device_aborts),
+    "TPDO on change": ("sends no TPDO when a mapped object changes (type 255)", device_sends_on_change),
+    "TPDO at SYNC": ("sends no TPDO at SYNC", device_sends_on_sync),
+    "RPDO": ("an RPDO does not reach the dictionary", device_receives),
+    "PDO mapping by SDO": ("sends the old mapping after a new one was written", device_maps),
+    "EMCY and 0x1001": ("an EMCY does not set 0x1001", device_reports),
+    "store 0x1010": ("0x1010 stores nothing", device_stores),
+    "LSS selection": ("does not confirm its selection by identity (44h)", device_is_selected),
+    "LSS bit timing and store": ("", device_stores_bit_timing),
 }
 MASTERS: Final = {"bowden": our_master, "canopen (Python)": canopen_master, "canopen (npm)": npm_master}
-MASTER_SERVICES: Final = {
-    "NMT commands": m_start, "boot-up noticed": m_boot_up, "heartbeat consumer": m_heartbeat,
-    "SDO expedited": m_expedited, "SDO segmented": m_segmented, "SDO block upload": m_block_upload,
-    "SDO block download": m_block_download, "SDO abort codes": m_abort, "TPDO received": m_tpdo,
-    "RPDO sent": m_rpdo, "SYNC producer": m_sync, "EMCY consumer": m_emcy, "LSS selection": m_select,
-    "LSS fastscan and node id": m_fastscan,
+MASTER_SERVICES: Final[dict[str, Service]] = {
+    "NMT commands": ("the command does not arrive", master_starts),
+    "boot-up noticed": ("no boot-up is noticed", lambda on: on("boot_up")),
+    "heartbeat consumer": ("does not report the state that the heartbeats carry", master_follows_state),
+    "SDO expedited": ("another value arrives", lambda on: master_writes(on, 2000, False)),
+    "SDO segmented": ("reads another text", lambda on: on("read", 0x1008, 0, False) == NAME),
+    "SDO block upload": ("reads another text", lambda on: on("read", 0x1008, 0, True) == NAME),
+    "SDO block download": ("another value arrives", lambda on: master_writes(on, 3000, True)),
+    "SDO abort codes": ("does not report the abort", master_reports_abort),
+    "TPDO received": ("no TPDO is received", master_receives),
+    "RPDO sent": ("the RPDO does not arrive", master_sends),
+    "SYNC producer": ("sends no SYNC of 10 ms", master_sends_sync),
+    "EMCY consumer": ("no EMCY is noticed", lambda on: on("emcy", lambda: on.node.emergency(0x4310, 8)) == 0x4310),
+    "LSS selection": ("the selection is not confirmed", lambda on: on("select")),
+    "LSS fastscan and node id": ("finds another identity, or the device gets no node id", master_scans),
 }
 
 
-def outcome(tried: Callable[[], object]) -> str:
-    """Return "yes", or the reason why a service failed."""
+def cell(stack: Callable[..., Any], service: Service) -> str:
+    """Try a service of a device or a master on a bus of its own; return "yes", or why it failed."""
+    otherwise, works = service
     try:
-        tried()
+        with stack(*((255,) if works is master_scans else ())) as on:
+            return "yes" if works(on) else f"no: {otherwise}"
     except LackingError as reason:
         return f"no: {reason}"
     except (SdoError, LssRefusalError) as refused:
         return f"no: {str(refused).rpartition(': ')[2] or refused}"
     except Exception as error:
         return f"no: {type(error).__name__}: {error}".splitlines()[0].replace("|", "/")
-    return "yes"
 
 
-def device_cell(device: Callable[[], Any], service: Callable[[DeviceOnBus], None]) -> str:
-    """Try a service of a device on a bus of its own."""
-    def tried() -> None:
-        with device() as on:
-            service(on)
-
-    return outcome(tried)
-
-
-def master_cell(master: Callable[..., Any], service: Callable[[CanBus, Any, MasterOnBus], None]) -> str:
-    """Try a service of a master on a bus of its own."""
-    def tried() -> None:
-        with master(*((255,) if service is m_fastscan else ())) as (bus, node, on):
-            service(bus, node, on)
-
-    return outcome(tried)
-
-
-def table(head: str, stacks: dict[str, Any], services: dict[str, Any], cell: Callable[[Any, Any], str]) -> list[str]:
-    """Return the Markdown lines of a table of services by stacks."""
-    return [f"| {head} | {' | '.join(stacks)} |", "|---|" + "---|" * len(stacks),
-            *(f"| {name} | {' | '.join(cell(stack, service) for stack in stacks.values())} |"
-              for name, service in services.items())]
-
-
-def page() -> str:
-    """Return the page."""
+def tables() -> dict[str, str]:
+    """Return the tables of docs/interop.md by their marks."""
     logging.disable(logging.CRITICAL)
     npm = json.loads((MODULES / "canopen" / "package.json").read_text(encoding="utf-8"))["version"]
-    versions = f"canopen {importlib.metadata.version('canopen')} (Python), canopen {npm} (npm)"
-    return "\n".join([
-        "# Interoperability", "",
-        "```console", "$ python -m benchmarks.interop --write", "```", "",
-        f"The command writes this page. Each cell is tried on the virtual bus with {versions} and",
-        f"python-can {importlib.metadata.version('python-can')}. A cell that is not \"yes\" gives the reason.", "",
-        "## Devices, asked by our master", "",
-        *table("device", DEVICES, DEVICE_SERVICES, device_cell), "",
-        "## Masters, which ask our device", "",
-        *table("master", MASTERS, MASTER_SERVICES, master_cell), "",
-        "## python-can's own tests of two buses on one wire, on ours", "",
-        "`tests/virtual_bus/test_virtual_python_can_suite.py` runs them from python-can's source distribution.", "",
-        "| test | bowden |", "|---|---|",
-        *(f"| `{name}` | {'no: ' + DIFFERENT[name] if name in DIFFERENT else 'yes'} |" for name in NAMES), ""])
+    version = importlib.metadata.version
+    kinds = (("device", DEVICES, DEVICE_SERVICES), ("master", MASTERS, MASTER_SERVICES))
+    return {
+        "versions": (f"canopen {version('canopen')} (Python), canopen {npm} (npm), python-can {version('python-can')}"),
+        **{kind: markdown((kind, *stacks), [  # type: ignore[misc]
+            (name, *(cell(stack, service) for stack in stacks.values())) for name, service in services.items()])
+           for kind, stacks, services in kinds},
+        "python-can": markdown(("test", "bowden"), [
+            (f"`{name}`", f"no: {DIFFERENT[name]}" if name in DIFFERENT else "yes") for name in NAMES])}
 
 
 def main() -> None:
-    """Print the page, or write it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="write docs/interop.md")
-    text = page()
-    if parser.parse_args().write:
-        PAGE.write_text(text, encoding="utf-8")
-    else:
-        print(text)
+    """Write the tables of docs/interop.md and print the page."""
+    text = filled(PAGE, tables())
+    PAGE.write_text(text, encoding="utf-8")
+    print(text)
 
 
 if __name__ == "__main__":
