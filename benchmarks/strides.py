@@ -4,8 +4,8 @@
 
 A walk of `WALKS` plays the recorded strides of DIRECTORY (default ../shared/data/gait) in random order, with stumbles,
 stops and a seat, while the rope's zero moves.  A bench is walked on day 1 by the calibration of day 0 that
-docs/unseen.csv has.  Walks that docs/strides.csv lacks are run until the minutes are over; then the tables of the page
-are written, and its picture from the recordings that exist.
+docs/unseen.csv has.  Walks that docs/strides.csv lacks are run until the minutes are over; then the table of the page
+is written, and its picture from the recordings that exist.
 """
 
 from __future__ import annotations
@@ -19,15 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import family, frame
 from benchmarks.frame import DOCS, OUT, ROOT, markdown
-from physics.laws import desired_force
-from physics.stride_walk import Stride, curve
-from trial.curves import read_curve, read_strides
-
-Floats = NDArray[np.float64]
+from trial.curves import read_curve
 
 TABLE, PAGE, KNEE = DOCS / "strides.csv", DOCS / "strides.md", OUT / "strides.csv"
 KEYS = ("kind", "serial", "seed")
@@ -128,33 +123,6 @@ def counted(rows: Sequence[Mapping[str, Any]], key: str) -> list[float]:
             and (one["assisted"] or key != TRUE_RMSE)]
 
 
-def limit(strides: Sequence[Stride], draws: int = 100) -> list[float]:
-    """Return median, 95 % and worst RMSE, % of the peak, that the best linear estimate of the period permits.
-
-    The beginning of each stride is known exactly; its period is regressed on the knee angle since then.  The regression
-    is fitted to all strides but one, with drawn periods and amplitudes, and judged on that one.
-    """
-    random, at = np.random.default_rng(0), np.arange(1, 34) / 100.0
-
-    def draw(stride: Stride) -> tuple[Floats, Floats]:
-        period, size = 1.0 + random.uniform(-0.08, 0.08, draws), random.uniform(0.9, 1.1, draws)
-        return np.array([curve(stride, b)(at / a) for a, b in zip(period, size, strict=True)]), period
-
-    fitted, found = [draw(stride) for stride in strides], []
-    for k, stride in enumerate(strides):
-        angle, period = (np.concatenate(part) for part in zip(*fitted[:k], *fitted[k + 1:], strict=True))
-        judged, true = draw(stride)
-        middle, estimate = angle.mean(axis=0), np.empty_like(judged)
-        for n in range(1, at.size + 1):
-            away = angle[:, :n] - middle[:n]
-            square = away.T @ away
-            ridge = square + 0.01 * np.trace(square) / n * np.eye(n)
-            estimate[:, n - 1] = 1.0 + (judged[:, :n] - middle[:n]) @ np.linalg.solve(ridge, away.T @ (period - 1.0))
-        apart = desired_force(100.0 * at / estimate, 100.0) - desired_force(100.0 * at / true[:, None], 100.0)
-        found += np.sqrt((apart**2).sum(axis=1) / (100.0 * true)).tolist()
-    return [float(value) for value in np.percentile(found, (50, 95, 100))]
-
-
 def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the figures of walks that have a bar (a limit that they should keep), in the order of `BARS`."""
     if not rows:
@@ -167,15 +135,12 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             str(sum(row["outcome"] != "completed" for row in rows))]
 
 
-def tables(rows: Sequence[Mapping[str, Any]], bound: Sequence[float]) -> dict[str, str]:
-    """Return the tables of docs/strides.md by their marks; `bound`: RMSE of a stride, %, that `limit` returns."""
+def figures(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the table of docs/strides.md."""
     columns = [summary([row for row in rows if row["kind"] in kinds])
                for kinds in (("own", "family"), ("own",), ("family",))]
-    return {
-        "figures": markdown(["figure", "bar", "all", "own benches", "family"],
-                            [(*row, *figures) for row, *figures in zip(BARS, *columns, strict=True)]),
-        "regression": markdown(["RMSE at the true phase by the regression", "median", "95 %", "worst"],
-                               [("% of the peak", *map(number, bound))])}
+    return markdown(["figure", "bar", "all", "own benches", "family"],
+                    [(*row, *cells) for row, *cells in zip(BARS, *columns, strict=True)])
 
 
 def strides_by_rank(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, Mapping[str, Any], int]]:
@@ -235,8 +200,8 @@ def main(arguments: Sequence[str]) -> None:
             continue
         frame.write_rows(TABLE, KEYS, [row := walked(walk, strides)], "a")
         print(f"{name(row)}: {row['outcome']} {row['stop_reason'] or ''}", flush=True)
-    rows, recorded = frame.rows(TABLE), [Stride(one.percent, one.values, math.nan) for one in read_strides(strides)]
-    PAGE.write_text(frame.filled(PAGE, tables(rows, limit(recorded))), encoding="utf-8")
+    rows = frame.rows(TABLE)
+    frame.put(PAGE, "figures", figures(rows))
     draw(rows, PAGE.with_suffix(".svg"))
 
 
