@@ -13,7 +13,7 @@ stride: they are no white noise.  The filter is the discrete one of Simon, Optim
 13.46–13.49, and sees speed through d, as the angle has next to no noise of its own.
 
 Innovation test.  A stride is explained by what the filter has had to assume: while it walks, d, d', ω and a are drawn
-from their stationary distributions, so their squared distance from it is below the 1 − 10⁻⁵ quantile of χ² with four
+from their stationary distributions, so their squared distance from it is below the 0.999 quantile of χ² with four
 degrees of freedom.  Beyond `LOST` of that there is no phase.  Without a phase, the last half second of the angle, at
 `DELAY_S`, is compared with the template at every phase and at five rates (a time-delay embedding; Takens 1981): the
 phase whose likelihood is `ODDS` times that of every phase not near it begins the filter anew.
@@ -49,8 +49,12 @@ LAMBDA_T: Final = 11.0
 """λ by the duration of a stride: the autocorrelation of those strides' departures is 0.5 after 15 % of the gait."""
 NOISE_RAD: Final = 5e-4
 """Standard deviation of an encoder's angle, rad."""
-LOST: Final = 28.5
-"""χ² of four degrees of freedom at 1 − 10⁻⁵."""
+LOST: Final = 18.5
+"""χ² of four degrees of freedom at 0.999.
+
+At 1 − 10⁻⁵ a wearer who stumbles at 5 % of the gait, with a flexion like that of a leg that is being loaded, was pulled
+for 150 ms before the phase was lost.
+"""
 ODDS: Final = 1000.0
 NEAR: Final = 0.1
 PHASES: Final = 100

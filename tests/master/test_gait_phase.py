@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.strides import strides_of
 from master.control import gait_phase
 from master.control.gait_phase import Reading
 from master.control.gait_table import GaitTable, tabulate
@@ -15,29 +18,41 @@ from physics import stride_walk
 from physics.calibration import nominal
 from physics.laws import Array, desired_force
 from physics.reference import recorded_angle
-from physics.stride_walk import StrideWalk, Variation
+from physics.stride_walk import Stride, StrideWalk, Variation
 from tests.stride_files import strides
+from trial.curves import read_strides
 
+GAIT = Path(__file__).parents[3] / "shared" / "data" / "gait"
 SAMPLES, PERIOD_S = 1200, 1e-3
 NEVER_SURE = Reading(0.0, 0.0, 0.29, 0.0, False, False)
 
 
-@cache
-def lap() -> Array:
-    angle = recorded_angle(*stride_walk.mean(strides(6)))[0][:-1]
+def lap_of(played: Sequence[Stride]) -> Array:
+    angle = recorded_angle(*stride_walk.mean(played))[0][:-1]
     return np.interp(np.arange(SAMPLES), np.arange(1001) * SAMPLES / 1000, np.append(angle, angle[0]))
 
 
-def table() -> GaitTable:
-    return tabulate(nominal(), lap(), desired_force(np.arange(SAMPLES) * 100.0 / SAMPLES, 40.0), PERIOD_S, 2e-3)
+@cache
+def lap() -> Array:
+    return lap_of(strides(6))
+
+
+def table(knee_rad: Array | None = None) -> GaitTable:
+    desired = desired_force(np.arange(SAMPLES) * 100.0 / SAMPLES, 40.0)
+    return tabulate(nominal(), lap() if knee_rad is None else knee_rad, desired, PERIOD_S, 2e-3)
 
 
 @cache
 def felt(seed: int, stumbles: int = 0, stops: int = 0, sits: int = 0) -> tuple[StrideWalk, list[Reading], Array]:
+    return followed(strides(6), Variation(12, seed, 0.08, 0.1, stumbles, stops, sits))
+
+
+def followed(played: Sequence[Stride], variation: Variation) -> tuple[StrideWalk, list[Reading], Array]:
     """Return a walk, its readings, and the share of the force by control cycle."""
-    walk = stride_walk.walk(strides(6), Variation(12, seed, 0.08, 0.1, stumbles, stops, sits), lap(), PERIOD_S, 1000, 0)
+    mean = lap_of(played)
+    walk = stride_walk.walk(played, variation, mean, PERIOD_S, 1000, 0)
     config, memory, readings, share, shares, gait = (
-        gait_phase.configure(lap(), PERIOD_S, Walk().departure_rad), gait_phase.initial(), [], -1.0, [], table())
+        gait_phase.configure(mean, PERIOD_S, Walk().departure_rad), gait_phase.initial(), [], -1.0, [], table(mean))
     for angle in walk.knee_rad.tolist():
         reading, memory = gait_phase.step(config, memory, angle)
         share = gait_phase.follow(share, reading, gait)
@@ -78,6 +93,20 @@ def test_a_stumble_costs_the_phase_or_leaves_it_right(seed: int) -> None:
     error = np.abs(np.mod(phase - walk.percent + 50.0, 100.0) - 50.0)
     asked = (shares > 0.0) & (np.arange(len(shares)) >= walk.before)
     assert error[after][asked[after]].max(initial=0.0) < 6.0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not GAIT.is_dir(), reason="../shared/data/gait is absent: real knee motion is not in the repository")
+@pytest.mark.parametrize("seed", [2003, 2010, 2016, 2017])
+def test_a_stumble_of_a_recorded_stride_is_pulled_for_less_than_a_tenth_of_a_second(seed: int, tmp_path: Path) -> None:
+    played = [Stride(one.percent, one.values, float("nan"))
+              for one in read_strides(strides_of(GAIT, tmp_path / "strides.csv"))]
+    walk, readings, shares = followed(played, Variation(60, seed, 0.08, 0.1, stumbles=14))
+    pulled = desired_force(100.0 * np.array([one.phase for one in readings]), 40.0) * np.maximum(shares, 0.0) > 3.0
+    trips = [slice(walk.before + one.begin, walk.before + one.begin + one.samples)
+             for one in walk.played if one.kind == "stumble"]
+    assert len(trips) == 14
+    assert max(np.count_nonzero(pulled[trip] & np.isnan(walk.percent[trip])) for trip in trips) < 100, "ms"
 
 
 def test_a_cycle_without_an_angle_leads_the_phase_on() -> None:
