@@ -96,7 +96,7 @@ def test_a_stumble_costs_the_phase_or_leaves_it_right(seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not GAIT.is_dir(), reason="../shared/data/gait is absent: real knee motion is not in the repository")
+@pytest.mark.skipif(not GAIT.is_dir(), reason="../shared/data/gait is absent")
 @pytest.mark.parametrize("seed", [2003, 2010, 2016, 2017])
 def test_a_stumble_of_a_recorded_stride_is_pulled_for_less_than_a_tenth_of_a_second(seed: int, tmp_path: Path) -> None:
     played = [Stride(one.percent, one.values, float("nan"))
