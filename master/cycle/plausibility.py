@@ -13,8 +13,9 @@ and its size, without naming a cause. Relations, each with a tolerance in its un
     still    a tension that repeats to the last bit while the other one changes, N;
              a position that does so while its target moves, m or rad.
 
-Until homing is over (`learn`), ratio and force use wide assumed values, and start and end are not checked. Homing's
-pull and release then give this bench's inertia, drive friction, stretch and friction bounds by least squares.
+Until homing is over (`learn`), ratio and force use wide assumed values, and start and end say only that a rope that
+pays out gains no tension, however stiff it is: where it does, the knee is not where its encoder says. Homing's pull
+and release then give this bench's inertia, drive friction, stretch and friction bounds by least squares.
 """
 
 from __future__ import annotations
@@ -39,12 +40,14 @@ FORCE_TERMS, STRETCH_TERMS = 4, 3
 
 (T1, T2, K1, K2, PREDICTED, SLIP, LAST_TRAVEL, FRESH, FILLED, SAME_START, SAME_END, AT_START, AT_END, OLD_START,
  OLD_END, PLACE, SUM, SUM_SIGN, SUM_V, RISE_LOW, RISE_HIGH, TRUSTED, FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES,
- SAME_SERVO, SAME_KNEE, OLD_SERVO, OLD_KNEE, LED_SERVO, LED_KNEE, SPEED, MOST_FLOW, HELD_BACK) = range(34)
+ SAME_SERVO, SAME_KNEE, OLD_SERVO, OLD_KNEE, LED_SERVO, LED_KNEE, SPEED, MOST_FLOW, HELD_BACK,
+ OUT_M, OUT_N, OUT_KNEE) = range(37)
 """Indices of `s`: targets of the last two cycles, the position loop's answer, the slip state; cycles since a restart
 and since the window's beginning, repeated values; the window's place and sums; the results of homing so far;
 `MOST_FLOW`: the greatest speed of its windows, m/s; `HELD_BACK`: what of the targets' limiting the drive has still to
-make up for, m."""
-RATIOS = 34
+make up for, m; `OUT_M`, `OUT_N`, `OUT_KNEE`: least position of the rope, m, and least mean tension, N, since it last
+went in or the knee moved, and the knee angle then, rad."""
+RATIOS = 37
 """Slots of the normalised residual of each relation, signed: 1 is its tolerance."""
 COUNTS = RATIOS + RELATIONS
 READINGS = COUNTS + RELATIONS
@@ -255,6 +258,7 @@ def _one_stretch(
 def _stretch(s: Any, g: Any, middle: float, position: float, knee: float, start: float, end: float) -> None:
     stretch = position - g[ROPE_PER_KNEE] * (knee - g[KNEE_HOME]) - g[ROPE_COMPLIANCE] * start
     if g[LEARNED] == LEARNING:
+        _pays_out(s, g, position, knee, math.sqrt(max(start, 0.0) * max(end, 0.0)), max(start, end))
         if start > TAUT_N and end > TAUT_N and abs(knee - g[KNEE_HOME]) < 0.05:
             # (10) over √(START·END), in which friction cancels
             mean = math.sqrt(start * end)
@@ -277,6 +281,17 @@ def _stretch(s: Any, g: Any, middle: float, position: float, knee: float, start:
     _one_stretch(s, g, BY_END, stretch, end * half, most, 0.3 * width, knee)
     _alone(s, BY_START, BY_END, counts[0])
     _alone(s, BY_END, BY_START, counts[1])
+
+
+@njit(inline="always")
+def _pays_out(s: Any, g: Any, position: float, knee: float, mean: float, most: float) -> None:
+    """Compare a rope that pays out with how far it would have gone in for the tension gained since then."""
+    if s[FRESH] <= 1.0 or position > s[OUT_M] + FROZEN_M or abs(knee - s[OUT_KNEE]) > KNEE_RAD:
+        s[OUT_M], s[OUT_N], s[OUT_KNEE] = position, mean, knee
+    s[OUT_M], s[OUT_N] = min(s[OUT_M], position), min(s[OUT_N], mean)
+    room_n = RATIO_N + 0.05 * most + RATIO_N_S_M * s[SPEED]
+    for relation in (BY_START, BY_END):
+        _compare(s, relation, position, s[OUT_M] + _slope(g, mean) * (mean - s[OUT_N]), _slope(g, mean) * room_n)
 
 
 @njit(inline="always")

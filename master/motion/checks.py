@@ -83,7 +83,8 @@ CHECKS: Final = (
     Check("force", "servo force, START", f"{p.FORCE_N:g} N + {p.FORCE_SHARE:g} of inertia, mean of "
           f"{1e3 * p.WINDOW_S:g} ms", _MODEL, C.IMPLAUSIBLE, SERVO,
           "test_the_pattern_of_relations_names_the_suspect", "force"),
-    Check("start", "rope, knee, START", f"{1e3 * p.STRETCH_M:g} mm + stretch by {p.STRETCH_N:g} N", _MODEL,
+    Check("start", "rope, knee, START", f"{1e3 * p.STRETCH_M:g} mm + stretch by {p.STRETCH_N:g} N; in homing a gain of "
+          f"{p.RATIO_N:g} N + 5 % + {p.RATIO_N_S_M:g} N·s/m while the rope pays out", _MODEL,
           C.IMPLAUSIBLE, NOBODY, "test_the_pattern_of_relations_names_the_suspect", "start"),
     Check("end", "rope, knee, END", f"{1e3 * p.STRETCH_M:g} mm + stretch by {p.STRETCH_N:g} N", _MODEL, C.IMPLAUSIBLE,
           END, "test_the_pattern_of_relations_names_the_suspect", "end"),

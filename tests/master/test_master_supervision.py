@@ -195,6 +195,18 @@ def test_the_drag_of_a_rope_that_is_much_too_long_is_no_finding(speed_m_s: float
     assert [f.relation for f in findings if f][:1] == ([plausibility.BY_START] if found else [])
 
 
+@pytest.mark.parametrize(("leg_m_s", "found"), [(0.0, False), (0.06, True)])
+def test_a_rope_that_pays_out_in_homing_gains_no_tension_on_a_leg_that_stands(leg_m_s: float, found: bool) -> None:
+    """A pull of 40 N and its release; in the release the leg leaves the angle that its frozen encoder gives."""
+    watch, findings = Plausibility(1e-3), []
+    watch.begin_learning(rope_per_knee=0.0414, knee_home=-0.5, compliance=0.0)
+    for i in range(1000):
+        place = 2.5e-3 * (1.0 - math.cos(2e-3 * math.pi * i))
+        tension = 8e3 * (place + leg_m_s * max(0.0, 1e-3 * (i - 700)))
+        findings.append(watch.check(1.0, (place, -0.5), place, tension, -0.5, 1.1 * tension, tension / 1.1))
+    assert [f.relation for f in findings if f][:1] == ([plausibility.BY_START] if found else [])
+
+
 def test_a_gap_is_no_finding() -> None:
     """Cycles without inputs are coasted over: the targets go on, and the first whole cycle is judged by them."""
     checked = Plausibility(1e-3)
