@@ -177,7 +177,7 @@ def spread(values: Iterable[float | None], digits: int = 2) -> str:
 
 
 def walks(benches: Sequence[Mapping[str, Any]], period: float) -> list[dict[str, Any]]:
-    """The walks of one period that completed, each with its bench."""
+    """Return the completed walks of one gait period, each with its bench."""
     return [{**bench[f"{period:g}"], "bench": bench} for bench in benches
             if f"{period:g}" in bench and bench[f"{period:g}"].get("outcome") == "completed"]
 
@@ -306,7 +306,7 @@ def _all(benches: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _judged(groups: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
-    """Every target, on the family and its parts and on the own plant."""
+    """Return the table of targets: whether each is met on the family, and its figure by group of benches."""
     told = {name: _all(chosen) for name, chosen in groups.items()}
     rows = []
     for target in TARGETS:

@@ -28,7 +28,7 @@ from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run as sweep_run
 from bowden.sweep.rows import IDENTIFIED, Row, Value
 from bowden.sweep.sweep_table import SweepTable
-from bowden.trials import provenance, session
+from bowden.trials import provenance
 from virtual_bus.build import GROUPS
 
 TABLE, PAGE = DOCS / "results.csv", DOCS / "results.md"
@@ -285,12 +285,11 @@ def run(results: Sequence[Wanted], path: Path, workers: int | None) -> list[dict
     nominal = {name: getattr(GROUPS[group](), key) for name in columns for group, _, key in [name.partition(".")]
                if not all(name in each for each in rows)}
     filled = [{name: each.get(name, nominal.get(name)) for name in columns} for each in rows]
-    session.compile_laws(simulated=True)
-    with SweepTable(path, columns) as table, sweep_run.local(workers) as crew:
+    with SweepTable(path, columns) as table:
         if table.commits - {provenance.commit()}:
             terminal.remark(f"{path} has trials by other commits; remove it to run them again.")
-        with terminal.progress("reproduce") as update, suppress(KeyboardInterrupt):
-            sweep_run.sweep(filled, table, crew, path.with_suffix(".calibrations"), update=update)
+        with suppress(KeyboardInterrupt):
+            sweep_run.into_table(filled, table, workers=workers, progress=terminal.Terminal())
         return [_cells(result, table.found(each) or {}) for result, each in zip(results, filled, strict=True)]
 
 

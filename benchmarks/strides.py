@@ -37,7 +37,7 @@ WALKS: tuple[dict[str, Any], ...] = tuple(
         bench for k in range(20) for bench in (("own", family.OWN[k % 3]), ("family", 2 * k))]))
 """Walks of the page: kind and serial of a bench, seed of the walk and of the noise, migration, mm."""
 MOVES_HZ = 0.001
-"""Frequency of the sine that moves the zero of the own plant, Hz; a walk lasts for its nearly straight beginning."""
+"""Frequency of the sine of the own plant's moving zero, Hz: over the 85 s of a walk it is nearly a straight line."""
 RMSE, TRUE_RMSE = "rmse_percent", "true_phase_rmse_percent"
 BARS = (
     ("walks", ""), ("strides that count", ""), ("with the whole force", ""),

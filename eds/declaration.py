@@ -133,7 +133,7 @@ paper's gait.  A rope that extends the joint is so a path like the paper's, taut
 
 
 def mirrored_rad(path: ForcePath, angle_rad: float) -> float:
-    """Return a joint's angle as a path counts it, or the joint's angle of a path's: the two directions are alike."""
+    """Return a joint's angle, rad, in the sign convention of a force path; the same call converts it back."""
     return MIRROR_RAD - angle_rad if path.acts == EXTENDS else angle_rad
 
 

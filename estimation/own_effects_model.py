@@ -109,7 +109,7 @@ def _middle(p: EffectParameter) -> float:
 
 
 def _sd(p: EffectParameter) -> float:
-    """Return the prior 1σ of a parameter: half of its likely range, of a size the larger end of it."""
+    """Return the prior 1σ of a parameter: half of its likely range; of a size, the larger end of that range."""
     return (p.likely[1] - p.likely[0]) / 2.0 if p.neutral is None else max(map(abs, p.likely))
 
 

@@ -75,7 +75,7 @@ MEASURABLE: Final = frozenset(name for form in MEASURED for name in form.of) | (
 
 
 UNTOLD: Final = frozenset({"theta1", "stretch_a", "stretch_b", "sheath_compliance"})
-"""Quantities that a form is relative to and does not contain: nominal if not given."""
+"""Quantities that a conversion refers to and that the converted form does not contain; nominal if not given."""
 
 
 def converted(forms: Iterable[Form], given: Values) -> dict[str, float]:

@@ -220,7 +220,7 @@ STRIDE_TABLE = ("stride", "kind", "period_s", "rmse_percent", "true_phase_rmse_p
                 "idle_n", "off_phase_ms")
 """Figures of a stride that a table shows."""
 OFF_N, APART_PERCENT = 3.0, 10.0
-"""END beyond which a force without a phase counts, N; distance of felt and true phase from which on they are apart."""
+"""Error of END, N, and of the felt phase, % of the gait, beyond which a force counts as off phase."""
 NO_PHASE_PERCENT = 28.8
 """Standard deviation of a phase that is not known: evenly spread over a gait, 100/√12."""
 

@@ -1,6 +1,6 @@
-"""Diagnosis of recorded trials: healthy trials are learnt once, then one trial after another is diagnosed.
+"""Diagnosis of recorded trials: the reference trials are fitted once, then one trial after another is diagnosed.
 
-The rule of this file: it hands trials and models to `diagnosis` and gives back what that found; it decides nothing.
+This module passes trials and models to `diagnosis` and returns its findings; it decides nothing.
 """
 
 from __future__ import annotations

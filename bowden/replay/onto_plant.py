@@ -1,4 +1,4 @@
-"""The recorded commands into a simulated bench: its responses, and the residuals."""
+"""Replay of recorded commands on a simulated bench: its responses, and the residuals of the recording."""
 
 from __future__ import annotations
 

@@ -27,17 +27,9 @@ def over(
     from bowden.bench import configuration
     from bowden.sweep import rows, run
     from bowden.sweep.sweep_table import SweepTable
-    from bowden.trials import session
 
     axes = [rows.axis(f"{name}={','.join(str(value) for value in values)}") for name, values in grid.items()]
     fixed = {"files.calibration": rows.IDENTIFIED} if identify else {}
     wanted = rows.rows(configuration.read(None if config is None else Path(config)), fixed, axes)
-    table_path = Path(output)
-    with SweepTable(table_path, list(wanted[0]), overwrite=overwrite) as table:
-        if all(table.found(row) is not None for row in wanted):
-            table.finish(wanted)
-        else:
-            session.compile_laws(simulated=True, progress=progress)
-            with run.local(workers) as crew, progress.running("sweep") as update:
-                run.sweep(wanted, table, crew, run.calibrations_beside(table_path, overwrite), update=update)
-        return [table.found(row) or {} for row in wanted]
+    with SweepTable(Path(output), list(wanted[0]), overwrite=overwrite) as table:
+        return run.into_table(wanted, table, overwrite=overwrite, workers=workers, progress=progress)

@@ -20,10 +20,13 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from bowden.progress import SILENT, Progress
 from bowden.sweep import row_trial
 from bowden.sweep.rows import IDENTIFIED, Row, placed
 from bowden.sweep.sweep_table import SweepTable
+from bowden.trials import session
 from parameters import InputError
+from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from diagnosis.finder import Finder
@@ -154,12 +157,25 @@ def run_all(jobs: Iterable[Job], workers: Workers, finished: Callable[[Any, Any]
         raise
 
 
-def calibrations_beside(table: Path, overwrite: bool) -> Path:
-    """Return the folder beside a table that keeps its calibrations; emptied with `overwrite`."""
-    folder = table.with_suffix(".calibrations")
-    for stale in folder.glob("serial-*.toml") if overwrite else ():
+def into_table(
+    rows: Sequence[Row], table: SweepTable, *, overwrite: bool = False, scheduler: str | None = None,
+    workers: int | None = None, keep: Path | None = None, progress: Progress = SILENT,
+) -> list[dict[str, str]]:
+    """Run the rows that `table` lacks, as `workers_of` and `sweep` do; return all rows, their cells by column.
+
+    The folder beside the table keeps the calibrations; `overwrite` empties it.
+    """
+    calibrations = table.path.with_suffix(".calibrations")
+    for stale in calibrations.glob("serial-*.toml") if overwrite else ():
         stale.unlink()
-    return folder
+    if all(table.found(row) is not None for row in rows):
+        table.finish(rows)
+    else:
+        if scheduler is None:
+            session.compile_laws(simulated=True, progress=progress)
+        with workers_of(scheduler, workers) as crew, progress.running("sweep") as update:
+            sweep(rows, table, crew, calibrations, keep=None if keep is None else str(keep.resolve()), update=update)
+    return [table.found(row) or {} for row in rows]
 
 
 def sweep(
@@ -180,7 +196,8 @@ def sweep(
     def identified(name: str, result: Any) -> None:
         reason, text = (ENDED, "") if isinstance(result, BrokenExecutor) else result
         if reason is None:
-            _keep(calibrations / name, text)
+            calibrations.mkdir(exist_ok=True)
+            write_whole(calibrations / name, text, overwrite=True)
         else:
             reasons[name] = reason
 
@@ -209,14 +226,6 @@ def _trial(row: Row, calibrations: Path, keep: str | None) -> Job:
     path = calibrations / _calibration_of(row) if row["files.calibration"] == IDENTIFIED else None
     text, label = ("", "") if path is None else (path.read_text(encoding="utf-8"), str(path))
     return Job(row, row_trial.perform, (placed(row), text, label, keep))
-
-
-def _keep(path: Path, text: str) -> None:
-    """Write a calibration; the file is whole or absent."""
-    path.parent.mkdir(exist_ok=True)
-    beside = path.with_suffix(".new")
-    beside.write_text(text, encoding="utf-8")
-    beside.replace(path)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import csv
 import io
 import math
-import os
 import statistics
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,6 +21,7 @@ from typing import Any, NamedTuple
 
 from bowden.sweep.row_trial import COMMIT, FIGURES
 from parameters import InputError
+from parameters.files import replaced
 
 Key = tuple[str, ...]
 FORMS = (".csv", ".parquet")
@@ -88,9 +88,8 @@ class SweepTable:
             return
         pa, pq = _arrow()
         columns = {name: pa.array(_typed([line[i] for line in lines])) for i, name in enumerate(self.columns)}
-        beside = self.path.with_name(f"{self.path.name}.new")
-        pq.write_table(pa.table(columns), beside)
-        os.replace(beside, self.path)
+        with replaced(self.path, overwrite=True) as part:
+            pq.write_table(pa.table(columns), part)
         self.growing.unlink()
 
     def _take(self, path: Path, lines_of: Any) -> None:
@@ -106,13 +105,8 @@ class SweepTable:
                 self.rows[tuple(line[: len(self.parameters)])] = list(line)
 
     def _write(self, lines: Iterable[Sequence[str]]) -> None:
-        beside = self.growing.with_name(f"{self.growing.name}.new")
-        try:
-            with beside.open("w", newline="", encoding="utf-8") as file:
-                csv.writer(file, lineterminator="\n").writerows([self.columns, *lines])
-            os.replace(beside, self.growing)
-        except OSError as error:
-            raise InputError(f"{self.growing}: cannot be written ({error}); give a writable place.") from None
+        with replaced(self.growing, overwrite=True) as part, part.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows([self.columns, *lines])
 
 
 def lines_of(path: Path) -> list[list[str]]:

@@ -43,7 +43,7 @@ class Network:
                                        high=100_000, source="assumed: controller step and socket calls")
 
     bench: DeclaredBench = apart(packaged())  # noqa: RUF009 - read once, frozen
-    """Devices, joints and force paths: arrays of tables of their own in the configuration."""
+    """Devices, joints and force paths, which the configuration holds as `[[device]]`, `[[joint]]`, `[[force_path]]`."""
     monitor: str = apart("")
     """File with the bounds of the safety monitor on this network, `[monitor]`; empty: there is none."""
 

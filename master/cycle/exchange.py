@@ -206,7 +206,7 @@ class Exchange(SyncCycle):
         self._run_paths()
 
     def begun(self) -> None:
-        """Begin with nothing overdue, and ask whoever holds a joint without a drive to stay."""
+        """Clear the overdue time; the target of a joint without a drive is its measured angle: hold it where it is."""
         self._overdue_ns = 0
         if not self.knee_driven and not self.inputs.missing & KNEE_BIT:
             self.targets = (self.targets[0], self.inputs.knee_angle_rad)

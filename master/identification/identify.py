@@ -64,7 +64,7 @@ WALKED = ("gait", "all")
 LOW_N, HIGH_N, SPEED_M_S, PULLS = 20.0, 60.0, 0.06, 5
 SLACK_N = 3.0
 TOP_END_N, TOP_SHARE, HALF_N = 62.0, 0.7, 45.0
-"""The ramps' top: tension at END, or this share of START's limit; and START where one turns early, as homing does."""
+"""Highest tension of the ramps: N at END, or this share of START's limit; START, N, of the ramp that turns early."""
 SLOW_M_S, FAST_M_S = 0.015, 0.12
 RAMPS = ((True, SPEED_M_S), (True, SPEED_M_S), (False, SPEED_M_S), (True, SLOW_M_S), (True, FAST_M_S))
 """Each ramp: whether to the top or to half the load, and its speed."""

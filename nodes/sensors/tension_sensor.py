@@ -43,7 +43,7 @@ _REALS: Final = frozenset((*_OTHER_END, OFFSET, *_LINKED))
 
 
 class TensionSensor(Application):
-    """One channel; `sample` is called every `interval_ns` with the converter's counts, frames do the rest."""
+    """CiA 404 sensor of one channel: `sample` is called every `interval_ns` with the converter's counts."""
 
     def attach(self, device: ProfileHost) -> None:
         """Register for the channel's settings."""

@@ -90,7 +90,7 @@ def _words(name: str) -> str:
 
 
 def chosen(trial: Trial, names: Sequence[str]) -> dict[str, Floats]:
-    """Return those of the columns that the trial has; one of a lower rate than the rows with lines between values."""
+    """Return the columns that the trial has; a column sampled at a lower rate is interpolated linearly."""
     found = {name: known(trial, name) for name in names}
     time = seconds(trial, trial.time_ns)
     return {name: slow_columns.on_rows(time, column)[0] for name, column in found.items() if column is not None}

@@ -44,7 +44,7 @@ def sweep(
     from bowden.sweep import rows as sweep_rows
     from bowden.sweep import run as sweep_run
     from bowden.sweep.sweep_table import SweepTable
-    from bowden.trials import provenance, session
+    from bowden.trials import provenance
 
     if draws < 1 or draw_seed < 0 or (workers is not None and workers < 1):
         raise typer.BadParameter("--draws and --workers are whole numbers from 1, --draw-seed from 0")
@@ -64,21 +64,12 @@ def sweep(
             terminal.remark(f"{table.path}: {resumed} of {len(rows)} trials are there from before.")
             if table.commits - {provenance.commit()}:
                 terminal.remark("some of them are by another commit; --overwrite makes them again.")
-        if resumed == len(rows):
-            sweep_run.calibrations_beside(output, overwrite)
-            table.finish(rows)
-        else:
-            if scheduler is None:
-                session.compile_laws(simulated=True, progress=terminal.Terminal())
-            with sweep_run.workers_of(scheduler, workers) as crew, terminal.progress("sweep") as update:
-                try:
-                    sweep_run.sweep(rows, table, crew, sweep_run.calibrations_beside(output, overwrite),
-                                    keep=None if keep is None else str(keep.resolve()), update=update)
-                except KeyboardInterrupt:
-                    terminal.remark(f"{table.growing}: keeps the trials that are done; the same command goes on from "
-                                    "there.")
-                    raise
-        found = [table.found(row) or {} for row in rows]
+        try:
+            found = sweep_run.into_table(rows, table, overwrite=overwrite, scheduler=scheduler, workers=workers,
+                                         keep=keep, progress=terminal.Terminal())
+        except KeyboardInterrupt:
+            terminal.remark(f"{table.growing}: keeps the trials that are done; the same command goes on from there.")
+            raise
     cells = _cells(found, [name for name, _ in axes])
     failed = sum(row["outcome"] != "completed" for row in found)
     figures = _summary(found)
