@@ -17,6 +17,7 @@ from bowden.cli.terminal import CommandAnswer
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
     from bowden.live.feeds import TrialFeed
+    from bowden.trials.session import PreparedTrial
     from bowden.watch.file_watch import WatchedBench
     from bowden.watch.watch_process import TrialWatch
 
@@ -44,7 +45,7 @@ def trial(
 
     light_imports.load()
     from bowden.bench import configuration
-    from bowden.trials import provenance, repeated_motion, session
+    from bowden.trials import repeated_motion, session
 
     output_files.refuse_ending(output, ".mcap", what="a trial")
     output_files.refuse_picture(picture)
@@ -64,29 +65,9 @@ def trial(
         prepared = repeated_motion.prepared(motion_of, sections, chosen)
     else:
         sections["walk"] = strides.walk(sections["walk"], simulated.seed)
-        reference, sections["gait"], notes = session.reference(
-            walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
-            peak_given=walk.peak is not None, walk=sections["walk"], rate_hz=sections["network"].rate_hz)
-        prepared = session.prepare(sections, reference, calibration, chosen, dry_run=dry_run, script=experiment,
-                                   knee=knee, controller_model=controller_model,
-                                   files=provenance.curves(knee=knee, desired=desired))
-        for note in notes:
-            terminal.remark(note)
-    with (_watches(bench, output, sections["network"], chosen) as watches,
-          _page(web, output.name, sections["network"]) as page):
-        if page is not None:
-            for watch in watches.values():
-                watch.show = page.suspected
-        result = session.perform(
-            prepared, output, picture, overwrite=overwrite, announce="" if terminal.quiet() else _where(chosen),
-            progress=terminal.Terminal(shown=not watches),
-            watch=[*([] if page is None else [page]), *watches.values()])
-        for watch in watches.values():
-            with terminal.waiting("diagnosing the whole trial"):
-                watch.conclude()
-        if watches:
-            found = {path: watch.as_json() for path, watch in watches.items()}
-            result["watch"] = found.get("", {"paths": found})
+        prepared = _prepared(walk, sections, chosen, knee, desired, calibration=calibration, dry_run=dry_run,
+                             script=experiment, controller_model=controller_model)
+    result = _performed(prepared, sections["network"], output, picture, web, bench, chosen, overwrite=overwrite)
     if entered is not None and result["trial"] is not None:
         from bowden.models import logbook_entries
 
@@ -108,6 +89,43 @@ def trial(
             print(f"Logbook: {entered}, trial {result['logbook']['trial']}, session {result['logbook']['session']}")
 
     return CommandAnswer(result, words, ending.status_of(result["outcome"], result["stop_reason"]))
+
+
+def _prepared(walk: WalkOptions, sections: dict[str, Any], chosen: BusSettings, knee: Path | None,
+              desired: Path | None, **more: Any) -> PreparedTrial:
+    """Return the gait trial that the options ask for, and print the remarks on its curve files."""
+    from bowden.trials import provenance, session
+
+    reference, sections["gait"], notes = session.reference(
+        walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
+        peak_given=walk.peak is not None, walk=sections["walk"], rate_hz=sections["network"].rate_hz)
+    found = session.prepare(sections, reference, more.pop("calibration"), chosen, knee=knee,
+                            files=provenance.curves(knee=knee, desired=desired), **more)
+    for note in notes:
+        terminal.remark(note)
+    return found
+
+
+def _performed(prepared: PreparedTrial, network: Any, output: Path, picture: Path | None, web: str | None,
+               bench: WatchedBench | None, chosen: BusSettings, *, overwrite: bool) -> dict[str, Any]:
+    """Run a trial with its live page and its watches; return its figures and, by path, what the watches found."""
+    from bowden.trials import session
+
+    with (_watches(bench, output, network, chosen) as watches, _page(web, output.name, network) as page):
+        if page is not None:
+            for watch in watches.values():
+                watch.show = page.suspected
+        result = session.perform(
+            prepared, output, picture, overwrite=overwrite, announce="" if terminal.quiet() else _where(chosen),
+            progress=terminal.Terminal(shown=not watches),
+            watch=[*([] if page is None else [page]), *watches.values()])
+        for watch in watches.values():
+            with terminal.waiting("diagnosing the whole trial"):
+                watch.conclude()
+        if watches:
+            found = {path: watch.as_json() for path, watch in watches.items()}
+            result["watch"] = found.get("", {"paths": found})
+    return result
 
 
 def _where(chosen: BusSettings) -> str:
