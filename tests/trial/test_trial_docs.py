@@ -1,4 +1,4 @@
-"""Every test that docs/trials.md names exists, and its examples run."""
+"""The examples of docs/trials.md run."""
 
 from __future__ import annotations
 
@@ -12,14 +12,6 @@ import pytest
 PAGE = Path(__file__).parents[2] / "docs" / "trials.md"
 TEXT = PAGE.read_text(encoding="utf-8")
 EXAMPLES = [block for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL) if "LogReader" not in block]
-
-
-def test_every_test_that_the_page_names_exists() -> None:
-    named = set(re.findall(r"`(test_\w+)`", TEXT))
-    written = {name for path in Path(__file__).parents[1].glob("*/test_*.py")
-               for name in re.findall(r"^def (test_\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)}
-    assert len(named) > 25
-    assert named <= written
 
 
 @pytest.mark.parametrize("number", range(len(EXAMPLES)))
