@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from bowden.bench.any_node import Lss, Node
     from bowden.bench.buses import BusSettings, bus, simulated
     from bowden.bench.examination import doctor
-    from bowden.mending.supervisor import MendedBench, mend
+    from bowden.mending.mended_bench import MendedBench
+    from bowden.mending.supervisor import mend
     from bowden.model_files import BenchModel, nominal
     from bowden.model_files import read as read_model
     from bowden.model_files import write as write_model
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "BenchModel": "bowden.model_files", "BusSettings": "bowden.bench.buses", "Diagnosis": "bowden.models.diagnosing",
     "DiagnosisResult": "bowden.models.diagnosing", "Experiment": "bowden.trials.experiment", "InputError": "parameters",
-    "Lss": "bowden.bench.any_node", "MendedBench": "bowden.mending.supervisor", "mend": "bowden.mending.supervisor",
+    "Lss": "bowden.bench.any_node", "MendedBench": "bowden.mending.mended_bench", "mend": "bowden.mending.supervisor",
     "Node": "bowden.bench.any_node", "Progress": "bowden.progress",
     "Simulation": "bowden.models.simulating", "StoppedError": "bowden.models.identification",
     "Trial": "bowden.trials.recorded_trial",

@@ -5,7 +5,6 @@ All conversions of a model for its users are here; `physics.bench_model` defines
 
 from __future__ import annotations
 
-import dataclasses
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from parameters import InputError
 from physics import bench_model
 from physics.bench_model import BenchModel, nominal
 
-__all__ = ["BenchModel", "Model", "extended", "given", "nominal", "read", "tables", "write"]
+__all__ = ["BenchModel", "Model", "given", "nominal", "read", "tables", "write"]
 
 Model = BenchModel | str | Path
 """A bench model, or the file that holds one."""
@@ -51,9 +50,3 @@ def given(model: Model | None) -> BenchModel:
 def tables(model: BenchModel) -> dict[str, Any]:
     """Return a model as the tables of its file."""
     return tomllib.loads(model.text())
-
-
-def extended(model: BenchModel, text: str) -> BenchModel:
-    """Return a model with the effects that the text of an extended.toml states, and what they were found on."""
-    found = bench_model.from_tables(tomllib.loads(text), "extended.toml")
-    return dataclasses.replace(model, effects=found.effects, found=found.found, terms=found.terms)

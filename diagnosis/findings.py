@@ -16,7 +16,8 @@ from physics.effects.hypotheses import Variant
 class Findings:
     """Verdict of a diagnosis with its figures; `as_json` returns exactly the published keys.
 
-    `rivals`: ambiguity set.  `relations`: figures by output.  `seconds`: run time, which the caller measures.
+    `rivals`: ambiguity set.  `alternatives`: its effects that are not chosen, each fitted alone.  `relations`: figures
+    by output.  `seconds`: run time, which the caller measures.
     `reference`: kind of the reference condition: healthy (reference trials), calibration or nominal.  `part`: the part
     of the bench that changed.  `evidence`: Bayes factors, errors and shifts of constants; {} if the wire is at fault,
     None if the trials were refused.  `bench`: the bench as a model, from its reference trials or its calibration; None
@@ -39,6 +40,7 @@ class Findings:
     reference: str = "none"
     simulation: dict[str, Any] | None = None
     candidates: list[dict[str, Any]] = field(default_factory=list)
+    alternatives: list[dict[str, Any]] = field(default_factory=list, repr=False)
     bench: BenchModel | None = field(default=None, repr=False)
     part: str | None = None
     evidence: dict[str, Any] | None = None

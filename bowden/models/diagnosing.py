@@ -88,6 +88,12 @@ class DiagnosisResult:
         self.terms = [] if found.laws is None else list(found.laws.terms)
         self._trials, self._holdout, self._model = trials, holdout, model
 
+    @property
+    def alternatives(self) -> list[DiagnosisResult]:
+        """Each other effect of the ambiguity set, fitted alone, as if it were the cause."""
+        return [DiagnosisResult(dataclasses.replace(self.found, causes=[cause], laws=None), self._trials,
+                                self._holdout, self._model) for cause in self.found.alternatives]
+
     def __repr__(self) -> str:
         return f"DiagnosisResult({self.verdict}: {', '.join(cause['effect'] for cause in self.causes) or 'no cause'})"
 
@@ -118,8 +124,7 @@ class DiagnosisResult:
         """
         from diagnosis import extension
 
-        text = extension.text(self.found, self._trials)
-        return model_files.extended(model_files.given(self._model), text)
+        return extension.extended(model_files.given(self._model), self.found, self._trials)
 
     def report(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write one HTML page that needs no network; raises `InputError` where the trials were refused."""

@@ -94,32 +94,36 @@ def correction(calibration: Calibration, gait: GaitTable, rest: Effects, terms: 
                ) -> Correction | None:
     """Tabulate the compensation of the effects `rest` and of `terms` beyond `calibration`; None without either.
 
-    `adapts`: the controller measures friction during homing, so only the departure from it is tabulated.
+    `adapts`: the controller has every scalar of the calibration and measures friction during homing, so only the
+    departure from both is tabulated.
     """
     if not rest and not terms:
         return None
-    base = _course(calibration, gait)
+    courses = _course(calibration, gait), _homed(calibration)
     known = {"mu2": calibration.mu2, "fabric_wrap": calibration.fabric_wrap}
-    met, home = (undone(compensate(course, rest, known), terms, gait.samples) for course in (base, _homed(calibration)))
+    own = {effect: {name: getattr(calibration, name) for name in AROUND & values.keys()}
+           for effect, values in rest.items() if adapts and AROUND & values.keys()}
+    base, homed = (compensate(course, own, known) for course in courses)
+    met, home = (undone(compensate(course, rest, known), terms, gait.samples) for course in courses)
     if adapts:
-        measured = calibration.cable_exponent + float(fabric_exponent(calibration, KNEE_AT_FIT))
+        measured = float(homed.cable_exponent[0] + homed.fabric_exponent[0])
         share = measured / max(float(home.cable_exponent[0] + home.fabric_exponent[0]), LEAST_EXPONENT)
         met = met._replace(cable_exponent=share * met.cable_exponent, fabric_exponent=share * met.fabric_exponent)
     lap = slice(-gait.samples, None)
     exponent, force = _exponent(base)[lap], base.desired_n[lap]
     tension = force * np.exp((met.fabric_exponent * met.fabric_slip)[lap])
-    gain = met.start_gain[lap] * np.exp(_exponent(met)[lap] - exponent)
-    true_start = force * np.exp(_exponent(met)[lap]) + met.start_extra_n[lap]
-    rope = (calibration.cable_compliance * (true_start - base.tension_n[lap])
+    gain = met.start_gain[lap] / base.start_gain[lap] * np.exp(_exponent(met)[lap] - exponent)
+    start, base_start = (force * np.exp(_exponent(each)[lap]) + each.start_extra_n[lap] for each in (met, base))
+    rope = (calibration.cable_compliance * (start - base_start)
             + calibration.fabric_share * (_fabric(calibration, tension) - _fabric(
                 calibration, force * np.exp((base.fabric_exponent * base.fabric_slip)[lap])))
             + (met.stretch_m - base.stretch_m)[lap] + met.rope_extra_m[lap] - home.rope_extra_m[0])
     late = round(met.lead_s / gait.period_s)
     more = (met.start_gain * met.start_extra_n + met.start_offset_n)[lap] + gain * (
-        np.roll(base.tension_n[lap], late) - base.tension_n[lap])
+        np.roll(base.tension_n[lap], late) - base.tension_n[lap] - (base.start_gain * base.start_extra_n)[lap])
     tables = [_smooth(column, gait.period_s) for column in (rope, met.knee_extra_rad[lap], gain, more)]
     rope_m, knee_rad, start_gain, start_more_n = (tuple(table.tolist()) for table in tables)
-    return Correction(rope_m, knee_rad, start_gain, start_more_n, float(home.start_gain[0]))
+    return Correction(rope_m, knee_rad, start_gain, start_more_n, float(home.start_gain[0] / homed.start_gain[0]))
 
 
 def _exponent(course: Trajectory) -> Array:

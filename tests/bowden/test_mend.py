@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import bowden
-from bowden.mending import supervisor
-from bowden.mending.supervisor import Journal
+from bowden.mending.journal import Journal
+from bowden.mending.mended_bench import paired_interval
 from parameters import InputError
 
 SETTINGS = {"reference": ["good.mcap"], "hours": 1.0}
@@ -46,7 +46,7 @@ def test_a_journal_of_another_run_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_interval_of_paired_gains_is_students() -> None:
-    low, high = supervisor.paired_interval([2.0, 2.1, 2.2, 2.1], [1.0, 1.2, 1.1, 1.1])
+    low, high = paired_interval([2.0, 2.1, 2.2, 2.1], [1.0, 1.2, 1.1, 1.1])
     assert (round(low, 3), round(high, 3)) == (0.87, 1.13)
 
 

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.extension import text
+from diagnosis.extension import extended, text
 from diagnosis.findings import Findings
 from eds.declaration import PathNodes
 from estimation.data.table import Table, table
 from parameters import InputError
 from physics.bench_model import BenchModel, read
 from physics.calibration import ScalarEvidence
+from physics.conversions import SIMULATED, converted
 from physics.effects.catalogue import CATALOGUE, apply, complete
 from virtual_bus.machine import plant_model
 
@@ -78,6 +79,27 @@ def test_every_effect_of_the_catalogue_can_be_written_and_read(name: str, tmp_pa
     told = read(path).effects[name]
     assert {key: told[key] for key in values} == values
     assert complete(name, told)
+
+
+def test_another_model_of_the_bench_is_extended_by_the_change() -> None:
+    """The two divide the friction differently: not the coefficient is common to them, but how far an exponent moves."""
+    bench = BenchModel({"mu1": 0.1, "mu2": 0.3, "fabric_wrap": 0.2, "load_slope": 0.1})
+    calibration = BenchModel({"cable_exponent": 0.27, "mu2": 0.012, "phi0": 6.0, "fabric_wrap": 1.0,
+                              "load_slope": -0.1, "stiffness_b": 1e-4, "stiffness_a": 0.0})
+
+    def on_calibration(name: str, was: float, **value: float) -> BenchModel:
+        changed = {**cause(name, **value), "was": dict.fromkeys(value, was)}
+        return extended(calibration, Findings("found", [changed], [name], bench=bench, reference="healthy"), [TRIAL])
+
+    known = converted(SIMULATED, calibration.values)["mu1"]
+    cable = on_calibration("cable_friction", 0.1, mu1=0.15).effects
+    assert cable["cable_friction"]["mu1"] == pytest.approx(known + 0.05)
+    wrapped = on_calibration("fabric_wrap", 0.2, fabric_wrap=0.6)
+    assert wrapped.values["mu2"] * wrapped.values["phi0"] == pytest.approx(0.072)
+    assert wrapped.values["mu2"] * wrapped.effects["fabric_wrap"]["fabric_wrap"] == pytest.approx(0.012 + 0.3 * 0.4)
+    slope = on_calibration("load_dependent_friction", 0.1, load_slope=0.4).effects
+    assert slope["load_dependent_friction"]["load_slope"] == pytest.approx(-0.1 + 0.3)
+    assert on_calibration("presliding", 3e-4, presliding=6e-4).effects == {"presliding": {"presliding": 6e-4}}
 
 
 def test_nothing_found_is_an_empty_model(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,18 @@ def test_a_calibration_says_what_its_scalars_can() -> None:
 
 NEUTRAL = {name: values for name, effect in sorted(CATALOGUE.items())
            if (values := {p.name: p.neutral for p in effect.parameters if p.neutral is not None})}
+
+
+@pytest.mark.parametrize(("effect", "name"), [
+    ("load_dependent_friction", "load_slope"), ("viscous_friction", "viscous"), ("start_gain", "start_gain")])
+def test_a_controller_that_has_the_scalar_needs_no_correction_for_its_value(effect: str, name: str) -> None:
+    known = replace(nominal(), load_slope=0.2, viscous=5.0, start_gain=1.02)
+    found = correction(known, table(known), {effect: {name: getattr(known, name)}}, adapts=True)
+    assert found is not None
+    assert np.allclose(found.rope_m, 0.0, atol=1e-12)
+    assert np.allclose(found.start_gain, 1.0)
+    assert np.allclose(found.start_more_n, 0.0, atol=1e-9)
+    assert found.home_gain == 1.0
 
 
 @pytest.mark.parametrize("name", NEUTRAL)

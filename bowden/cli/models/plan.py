@@ -15,7 +15,7 @@ from parameters import InputError
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
-    from bowden.mending.supervisor import MendedBench
+    from bowden.mending.mended_bench import MendedBench
     from bowden.models.diagnosing import DiscoveryResult
     from bowden.models.experiment_plan import ExperimentPlan
 

@@ -1,0 +1,147 @@
+"""Trials of an unattended repair, and END's error in them: what they cost, what stops them, what they are judged by.
+
+Only END as its sensor reads it decides, by its departure from the reference trial: what the sensor reads wrongly
+there, it reads wrongly here, too.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bowden.bench.buses import BusSettings
+from bowden.mending.journal import Journal
+from bowden.model_files import BenchModel
+from bowden.progress import Progress
+from bowden.trials import session
+from bowden.trials.experiment import GAIT, Experiment
+from bowden.trials.recorded_trial import Trial
+from bowden.trials.session import PreparedTrial
+from estimation.data.table import NOMINAL
+from parameters import InputError
+from physics import bench_model
+
+Floats = NDArray[np.float64]
+
+STOPS: Final = 2
+"""Number of stopped trials at which the run ends: one may be chance, two are the bench."""
+BINS: Final = 100
+"""Parts of the gait over which END is averaged from cycle to cycle: 1 % each, the step of the paper's tables."""
+INTERRUPTED: Final = "interrupted"
+"""Beginning of the stop reason of a trial that the operator stopped."""
+
+
+class EndedNightError(Exception):
+    """The run ends here; the text says why."""
+
+
+def end_error(trial: Trial, settle: int = 1) -> Floats:
+    """Return END less the desired force, N, by part of the gait, mean of the cycles from `settle` on; NaN: unknown."""
+    error = trial.columns["tension_end_n"] - trial.columns["desired_force_n"]
+    kept = np.isfinite(error) & (trial.columns["cycle"] >= settle)
+    part = np.minimum(BINS * trial.columns["gait_percent"][kept] / 100.0, BINS - 1).astype(int)
+    count = np.bincount(part, minlength=BINS)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.bincount(part, error[kept], BINS) / count)
+
+
+class NightTrials:
+    """Trials of a run in `folder`, each a step of its `journal`, within `hours` of bench time.
+
+    `gait`: the reference gait of the greatest peak, in the trial `walked`.  `plain`: the calibration of the reference
+    trials, None for the packaged nominal one.
+    """
+
+    def __init__(self, reference: Sequence[Path], folder: Path, bus: BusSettings, hours: float, cycles: int,
+                 progress: Progress) -> None:
+        self.folder, self.bus, self.progress = folder, bus, progress
+        trials = [_reference_trial(path) for path in reference]
+        self.plain = _calibration(trials[0])
+        gaits = [trial for trial in trials if trial.metadata.get("experiment", GAIT) == GAIT]
+        if not gaits:
+            raise InputError("mend: no reference trial is a gait; record one with bowden trial.")
+        walked = max(gaits, key=lambda trial: float(trial.metadata["peak_n"]))
+        self.walked = Path(walked.path)
+        self.gait = Experiment(peak_n=float(walked.metadata["peak_n"]), period_s=float(walked.metadata["period_s"]),
+                               cycles=cycles, controller=walked.metadata["controller"], model=self.plain)
+        # another controller leaves a larger error than an extension mends: END is then compared with the desired force
+        alike = walked.metadata["controller"] == "extended" and self.plain is not None
+        self.restored = end_error(walked) if alike else np.zeros(BINS)
+        self.budget_s, self.used_s, self.stops = 3600.0 * hours, 0.0, 0
+
+    def completed(self, journal: Journal, step: str, experiment: Experiment | PreparedTrial) -> dict[str, Any]:
+        """Return the journal's result of a trial; a stopped one is recorded once more."""
+        result = self.recorded(journal, step, experiment)
+        return result if result["outcome"] == "completed" else self.recorded(journal, f"{step} again", experiment)
+
+    def recorded(self, journal: Journal, step: str, experiment: Experiment | PreparedTrial) -> dict[str, Any]:
+        """Return the journal's result of a trial, recorded now if there is none.
+
+        Ends the run by time and at the second stopped trial.
+        """
+        path = self.folder / f"{step}.mcap"
+
+        def record() -> dict[str, Any]:
+            bus = self.bus
+            if "seed" in bus.arguments:  # the noise of a simulated bench is new in each trial, as on a real one
+                seed = int(bus.arguments["seed"]) + len(journal.lines)
+                bus = replace(bus, arguments={**bus.arguments, "seed": seed})
+            prepared = experiment.prepared(bus, self.progress) if isinstance(experiment, Experiment) else replace(
+                experiment, chosen=bus)
+            figures = session.perform(prepared, path, overwrite=True, progress=self.progress)
+            trial = Trial(figures["trial"] or path, figures)
+            if (trial.figures.get("stop_reason") or "").startswith(INTERRUPTED):
+                raise KeyboardInterrupt  # not in the journal: the trial is recorded again when the run goes on
+            seconds = 1e-9 * float(trial.time_ns[-1] - trial.time_ns[0]) if len(trial) else 0.0
+            return {"file": path.name, "seconds": seconds, "outcome": trial.outcome or "",
+                    "stop_reason": trial.figures.get("stop_reason"), "percent": self._error_percent(trial)}
+
+        if self.used_s > self.budget_s:
+            raise EndedNightError(f"time is up: {self.used_s:.0f} s of the bench were used")
+        result = journal.step(step, record)
+        self.used_s += result["seconds"]
+        if result["outcome"] != "completed":
+            self.stops += 1
+            if self.stops >= STOPS:
+                raise EndedNightError(f"{self.stops} trials were stopped, the last one: {result['stop_reason']}")
+        return result
+
+    def _error_percent(self, trial: Trial) -> float | None:
+        """Return the RMS of END's mean cycle from that of the reference trial, % of the peak; None where not measured.
+        """
+        if "tension_end_n" not in trial.columns or not len(trial):
+            return None
+        apart = end_error(trial) - self.restored
+        known = np.isfinite(apart)
+        return float(100.0 * np.sqrt(np.mean(apart[known] ** 2)) / self.gait.peak_n) if known.any() else None
+
+
+def percent(result: dict[str, Any]) -> float:
+    """Return END's error, % of the peak, of a trial's result; ends the run where END was not measured."""
+    if result["percent"] is None:
+        raise EndedNightError(f"{result['file']}: END was not measured")
+    return float(result["percent"])
+
+
+def _reference_trial(path: Path) -> Trial:
+    if path.suffix.lower() != ".mcap":
+        raise InputError(f"{path}: a reference trial of mend is one of bowden trial, .mcap; give one.")
+    trial = Trial(path)
+    missing = [name for name in ("peak_n", "period_s", "controller") if name not in trial.metadata]
+    if missing:
+        raise InputError(f"{path}: has no {', '.join(missing)}; give a trial that bowden trial recorded.")
+    return trial
+
+
+def _calibration(trial: Trial) -> BenchModel | None:
+    """Return the calibration that a reference trial ran on; None for the packaged nominal one."""
+    text = trial.attachments.get("calibration.toml")
+    if text is None or trial.metadata.get("calibration") == NOMINAL:
+        return None
+    return bench_model.from_tables(tomllib.loads(bytes(text).decode("utf-8")), f"{trial.path}: calibration.toml")
