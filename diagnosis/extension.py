@@ -69,7 +69,8 @@ def extended(model: BenchModel, found: Findings, trials: Sequence[Table]) -> Ben
     if "phi0" in model.values and known.get("mu2", 0.0) > 0.0 and told.effects.keys() & {
             "fabric_friction", "fabric_wrap"}:
         share = model.values["mu2"] / known["mu2"]
-        model = replace(model, values={**model.values, "mu2": known["mu2"], **{
+        evidence = {name: told for name, told in model.evidence.items() if name not in ("mu2", "phi0", "fabric_wrap")}
+        model = replace(model, evidence=evidence, values={**model.values, "mu2": known["mu2"], **{
             name: share * model.values[name] for name in ("phi0", "fabric_wrap")}})
     sizes = {cause["effect"]: moved(cause, found.bench, model)["parameters"] for cause in found.causes
              if cause["effect"] in told.effects}

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -200,6 +200,11 @@ class Term:
     def phase_rad(self) -> float | None:
         """Return the phase of a sine, rad; None of other modulations."""
         return None if len(self.coefficients) == 1 else math.atan2(self.coefficients[1], self.coefficients[0])
+
+    def scaled(self, share: float) -> Term:
+        """Return the term with its coefficients and their intervals multiplied by `share`."""
+        return replace(self, coefficients=tuple(share * a for a in self.coefficients),
+                       intervals=tuple((share * low, share * high) for low, high in self.intervals))
 
     def course(self, course: Course) -> Array:
         """Return a·m(t), shape (samples,), in the unit of the coefficient."""

@@ -117,9 +117,13 @@ class NightTrials:
         """
         if "tension_end_n" not in trial.columns or not len(trial):
             return None
-        apart = end_error(trial) - self.restored
-        known = np.isfinite(apart)
-        return float(100.0 * np.sqrt(np.mean(apart[known] ** 2)) / self.gait.peak_n) if known.any() else None
+        apart = self.apart(trial)
+        return float(100.0 * np.sqrt(np.mean(apart**2)) / self.gait.peak_n) if apart.any() else None
+
+    def apart(self, trial: Trial | dict[str, Any]) -> Floats:
+        """Return END's mean cycle less that of the reference trial, N, by part of the gait; 0 where it is unknown."""
+        of = trial if isinstance(trial, Trial) else Trial(self.folder / trial["file"])
+        return np.nan_to_num(end_error(of) - self.restored)
 
 
 def percent(result: dict[str, Any]) -> float:

@@ -2,8 +2,8 @@
 
     gait → diagnosis → repeat → diagnosis → (experiment → diagnosis)… → choice → trials A B A B … → kept or undone
 
-A: the bench's calibration alone, B: with the extension.  Where the diagnosis stays ambiguous, one trial with each of
-the likeliest effects chooses the extension that is proven.
+A: the bench's calibration alone, B: with the extension.  One trial with each of the likeliest effects chooses the
+extension that is proven, and its size.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
 
 from bowden.bench import buses, configuration
 from bowden.bench.buses import BusSettings
@@ -36,6 +38,11 @@ EXPERIMENTS: Final = 2
 """Largest number of experiments that are run to decide between effects."""
 CHOICES: Final = 3
 """Largest number of effects of an ambiguous answer that are tried in the loop, one trial each."""
+MOST_SIZE: Final = 2.0
+"""Largest factor, up or down, by which trials in the loop change the size that the diagnosis estimated.
+
+Effects of the session's scatter take a part of an effect's response, so that its size is often off by a third; a size
+off by more would be another effect's."""
 JOURNAL, EXTENDED, PAGE = "journal.jsonl", "extended.toml", "mend.html"
 REPEAT: Final = repeated_motion.NAME
 
@@ -139,21 +146,33 @@ class _Run:
         except EndedNightError as ended:
             return replace(outcome, ending=str(ended))
 
-    def _with(self, step: str, found: DiagnosisResult) -> float | None:
-        """Return END's error, % of the peak, in a trial with the extension of `found`; None if it was stopped."""
+    def _with(self, step: str, found: DiagnosisResult) -> dict[str, Any] | None:
+        """Return a trial with the extension of `found`; None if it was stopped: it is not tried again."""
         result = self.bench.recorded(
             self.journal, step, replace(self.bench.gait, controller="extended", model=found.model))
-        return percent(result) if result["outcome"] == "completed" else None
+        return result if result["outcome"] == "completed" else None
+
+    def _without(self, step: str) -> dict[str, Any]:
+        return self.bench.completed(self.journal, step, replace(self.bench.gait, controller="extended"))
 
     def _chosen(self, choices: Sequence[DiagnosisResult]) -> DiagnosisResult:
-        """Return the diagnosis whose extension leaves the least error in one trial; its proof is of other trials."""
-        if len(choices) == 1:
-            return choices[0]
-        errors = [(error, k) for k, each in enumerate(choices)
-                  if (error := self._with(f"choice of {each.causes[0]['effect']}", each)) is not None]
-        if not errors:
+        """Return the diagnosis whose extension leaves the least error of END in the loop, at its best size there.
+
+        One trial with each extension: the error is taken to be linear in the size.  The proof is of other trials.
+        """
+        before = self.bench.apart(self._without("choice of nothing"))
+        rated = list[tuple[float, int, float]]()
+        for k, each in enumerate(choices):
+            name = each.causes[0]["effect"] if each.causes else "law"
+            result = self._with(f"choice of {name}", each)
+            if result is not None:
+                moved = self.bench.apart(result) - before
+                size = float(np.clip(-(before @ moved) / max(moved @ moved, 1e-12), 1.0 / MOST_SIZE, MOST_SIZE))
+                rated.append((float(np.linalg.norm(before + size * moved)), k, size))
+        if not rated:
             raise EndedNightError("undone: the trials with an extension were stopped")
-        return choices[min(errors)[1]]
+        _, k, size = min(rated)
+        return choices[k].scaled(size)
 
     def _proven(self, found: DiagnosisResult, outcome: MendedBench) -> MendedBench:
         """Return the outcome of trials without and with the extension of `found`, which is removed if it is undone."""
@@ -161,12 +180,11 @@ class _Run:
         write_whole(extended, found.model.text(), overwrite=True)
         try:
             for pair in range(1, PAIRS + 1):
-                before.append(percent(self.bench.completed(
-                    self.journal, f"{pair}-A", replace(self.bench.gait, controller="extended"))))
+                before.append(percent(self._without(f"{pair}-A")))
                 mended = self._with(f"{pair}-B", found)
-                if mended is None:  # what the extension brought to a stop is not tried again
+                if mended is None:
                     raise EndedNightError("undone: a trial with the extension was stopped")
-                after.append(mended)
+                after.append(percent(mended))
             kept = paired_interval(before, after)[0] > 0.0
             ending = ("mended: the extension gains in the loop" if kept else
                       "undone: the extension does not gain in the loop")

@@ -94,6 +94,20 @@ class DiagnosisResult:
         return [DiagnosisResult(dataclasses.replace(self.found, causes=[cause], laws=None), self._trials,
                                 self._holdout, self._model) for cause in self.found.alternatives]
 
+    def scaled(self, share: float) -> DiagnosisResult:
+        """Return the result with the sizes of all effects, and the coefficients of terms, changed by `share`."""
+        causes = []
+        for cause in self.found.causes:
+            name = next(iter(cause["parameters"]))
+            was = cause.get("was", {}).get(name, 0.0)
+            row = {key: was + share * (told - was) if key in ("value", "low", "high") else told
+                   for key, told in cause["parameters"][name].items()}
+            causes.append({**cause, "parameters": {**cause["parameters"], name: row}})
+        laws = self.found.laws and dataclasses.replace(
+            self.found.laws, terms=[term.scaled(share) for term in self.found.laws.terms])
+        return DiagnosisResult(dataclasses.replace(self.found, causes=causes, laws=laws), self._trials, self._holdout,
+                               self._model)
+
     def __repr__(self) -> str:
         return f"DiagnosisResult({self.verdict}: {', '.join(cause['effect'] for cause in self.causes) or 'no cause'})"
 

@@ -10,7 +10,11 @@ import pytest
 import bowden
 from bowden.mending.journal import Journal
 from bowden.mending.mended_bench import paired_interval
+from bowden.models.diagnosing import DiagnosisResult
+from diagnosis.findings import Findings
+from diagnosis.laws.law_result import Laws
 from parameters import InputError
+from physics.terms import Term
 
 SETTINGS = {"reference": ["good.mcap"], "hours": 1.0}
 
@@ -48,6 +52,17 @@ def test_a_journal_of_another_run_is_refused(tmp_path: Path) -> None:
 def test_the_interval_of_paired_gains_is_students() -> None:
     low, high = paired_interval([2.0, 2.1, 2.2, 2.1], [1.0, 1.2, 1.1, 1.1])
     assert (round(low, 3), round(high, 3)) == (0.87, 1.13)
+
+
+def test_a_size_is_scaled_from_where_the_bench_was() -> None:
+    cause = {"effect": "cable_friction", "was": {"mu1": 0.1}, "parameters": {
+        "mu1": {"value": 0.2, "low": 0.18, "high": 0.22, "unit": ""}}}
+    term = Term("zero", "step", {"at_s": 1.0}, (2e-3,), ((1e-3, 3e-3),), "m", "geometry", "zero")
+    found = Findings("found", [cause], laws=Laws([term], [20.0], {}, [], 1))
+    scaled = DiagnosisResult(found, [], [], None).scaled(1.5)
+    row = scaled.causes[0]["parameters"]["mu1"]
+    assert [row[key] for key in ("value", "low", "high")] == pytest.approx([0.25, 0.22, 0.28])
+    assert scaled.terms[0].coefficients == pytest.approx((3e-3,))
 
 
 def test_a_reference_that_is_no_recorded_trial_is_refused(tmp_path: Path) -> None:

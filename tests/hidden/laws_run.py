@@ -1,10 +1,11 @@
 """Laws asked about rigs of another structure: what a law search reaches of what the truth itself would.
 
     python -m tests.hidden.laws_run [--first SEED] [--left-out N] [--outside N] [--healthy N]
-                                    [--structures truth1,truth2] [--rows FILE]
+                                    [--structures truth1,truth2] [--rows FILE] [--page]
 
 `--left-out`: effects of the catalogue, which a law search does not use; `--outside`: changes that the catalogue never
-had.  One row of the CSV FILE for each case; a run that was broken off goes on from there.
+had.  One row of the CSV FILE for each case; a run that was broken off goes on from there.  `--page` writes the figures
+of FILE into docs/laws.md.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks.frame import DOCS, markdown, put
 from diagnosis.compared_signals import Figures
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.held_out import HeldOut, blocks_of
@@ -184,8 +186,8 @@ def discover_none(finder: EvidenceFinder, given: Table) -> Mapping[str, Figures]
     return HeldOut(observed, reference.missed(observed), search.held_out(), None, blocks).figures(reference)
 
 
-def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the figures over rows, one a line."""
+def summary(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """Return the figures over rows, each with the number of cases in which it holds."""
     def gain(r: Mapping[str, Any], which: str) -> float:
         return 1.0 - float(r[which]) / float(r["session"])
 
@@ -210,7 +212,19 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         ("outside: form right", [r["right"] == "1" for r in outside]),
         ("healthy: with a term", [bool(r["terms"]) for r in healthy]),
         ("any output worse by more than 5 %", [float(r["worst"]) > 1.05 for r in rows])]
-    return [f"{name}: {sum(held)} of {len(held)}" for name, held in lines if held]
+    return [(name, f"{sum(held)} of {len(held)}") for name, held in lines if held]
+
+
+def page(rows: Sequence[Mapping[str, Any]], command: str) -> str:
+    """Return the text between the marks of docs/laws.md."""
+    kinds = {"left_out": "left out", "outside": "outside", "healthy": "reference"}
+    cases = [(kinds[r["kind"]], r["structure"], truths.EFFECTS.get(r["hidden"], r["hidden"]).replace("_", " "),
+              r["session"], r["law"], r["own"] or "–", r["terms"].replace("_", " ") or "–",
+              ("yes" if r["right"] == "1" else "no") if r["terms"] and r["kind"] != "healthy" else "–")
+             for r in sorted(rows, key=lambda r: (r["kind"], r["structure"], r["hidden"]))]
+    return "\n\n".join((f"`{command}`:", markdown(["asked", "held"], summary(rows)), markdown(
+        ["kind", "rig", "hidden", "error, session", "with the law", "with the effect or without the change", "terms",
+         "right"], cases)))
 
 
 def questions(structure: str, first: int, left: int, outside: int, healthy: int) -> list[tuple[str, Question]]:
@@ -229,6 +243,7 @@ def main(arguments: list[str]) -> None:
         parser.add_argument(name, type=int, default=count)
     parser.add_argument("--structures", default=",".join(truths.STRUCTURES))
     parser.add_argument("--rows", type=Path, default=Path("out/laws.csv"))
+    parser.add_argument("--page", action="store_true")
     given = parser.parse_args(arguments)
     given.rows.parent.mkdir(parents=True, exist_ok=True)
     if not given.rows.exists():
@@ -249,7 +264,11 @@ def main(arguments: list[str]) -> None:
             file.flush()
             print(*made.values(), sep=" | ", flush=True)
             rows.append({name: str(value) for name, value in made.items()})
-    print("\n".join(summary(rows)))
+    print("\n".join(f"{name}: {held}" for name, held in summary(rows)))
+    if given.page:
+        asked_for = f"--first {given.first} --left-out {given.left_out} --outside {given.outside}"
+        put(DOCS / "laws.md", "laws", page(rows, f"python -m tests.hidden.laws_run {asked_for} --healthy "
+                                                 f"{given.healthy}"))
 
 
 if __name__ == "__main__":
