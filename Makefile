@@ -13,7 +13,8 @@ trial: $(VENV)/.installed
 	@mkdir -p out
 	$(BIN)/bowden trial --peak 40 --overwrite --picture out/trial.png -o out/trial.mcap
 
-PYTEST := $(BIN)/python -m pytest -n 2 --dist=loadfile --no-loadscope-reorder
+# One thread of BLAS in each worker: threads of two workers on two processors wait for each other, at many times the cost.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist=loadfile --no-loadscope-reorder
 
 test: $(VENV)/.installed-test
 	$(PYTEST)

@@ -23,12 +23,12 @@ Command = Callable[..., tuple[int, str, str]]
 SHAPES = {"bench_two_legs": ("left", "right"), "bench_antagonists": ("flexor", "extensor")}
 
 
-@pytest.fixture(scope="module", params=SHAPES)
+@pytest.fixture(scope="module", params=[pytest.param("bench_two_legs", marks=pytest.mark.slow), "bench_antagonists"])
 def ran(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the configuration of a shape, a trial of two gait cycles, and its figures as JSON."""
+    """A folder with the configuration of a shape, a trial of one gait cycle, and its figures as JSON."""
     folder = tmp_path_factory.mktemp(request.param)
     (folder / "bench.toml").write_text(configuration.as_template(shape=request.param))
-    told = api.run(api.Experiment(peak_n=20, period_s=1, cycles=2, configuration=folder / "bench.toml"),
+    told = api.run(api.Experiment(peak_n=20, period_s=1, cycles=1, settle=0, configuration=folder / "bench.toml"),
                    output=folder / "trial.mcap")
     (folder / "figures.json").write_text(json.dumps({**told.figures, "shape": request.param}))
     return folder

@@ -14,7 +14,7 @@ from estimation.posterior import mode
 from estimation.reference_fit import ReferenceFit
 from tests.hidden.family import Job, case
 
-BENCH = Job(39, (), 9)
+BENCH = Job(39, (), 9, cycles=3)
 """In the reference condition, with one or more reference trials of other gaits."""
 
 

@@ -91,6 +91,11 @@ def test_a_gait_is_a_benchs_and_a_turning_axis_is_not() -> None:
     assert not can_be_of_bench([pendulum(1)])
 
 
+@cache
+def swung_fit() -> tuple[RigModel, ReferenceFit, dict[str, float]]:
+    return fitted([pendulum(1), pendulum(2)])
+
+
 def fitted(trials: list[Table]) -> tuple[RigModel, ReferenceFit, dict[str, float]]:
     model = RigModel(trials)
     fit = fit_reference(model, model.sessions([model.record(t) for t in trials]))
@@ -100,7 +105,7 @@ def fitted(trials: list[Table]) -> tuple[RigModel, ReferenceFit, dict[str, float
 
 
 def test_the_reference_fit_has_the_constants_that_the_pendulum_was_made_with() -> None:
-    _, fit, constants = fitted([pendulum(1), pendulum(2)])
+    _, fit, constants = swung_fit()
     assert len(fit.identified) == 2
     assert constants["unbalance"] == pytest.approx(GRAVITY_NM, rel=0.01)
     assert constants["unbalance_phase"] == pytest.approx(0.5 * np.pi - 0.2, abs=0.01)
@@ -154,7 +159,7 @@ def test_the_motion_of_a_coarse_encoder_is_smoothed_more() -> None:
 
 
 def test_a_faster_motion_is_beyond_the_reference_trials_and_another_zero_of_the_encoder_is_not() -> None:
-    model, fit, _ = fitted([pendulum(1), pendulum(2)])
+    model, fit, _ = swung_fit()
     same = pendulum(3)
     far = table("far", {**same.columns, "servo_position_m": same["servo_position_m"] + 20.0})
     quick = table("quick", {**same.columns, "time_s": 0.5 * same["time_s"]})
