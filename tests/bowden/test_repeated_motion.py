@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bowden.cli.app import run
 from trial import read
 
 GAIT = ("--cycles", "3", "--period", "1.2", "--serial", "3")
@@ -46,6 +47,16 @@ def test_rope_and_knee_move_as_they_did_and_the_controller_replays(ran: Path, bo
     assert any("good.mcap has the motion of the trial: only their difference" in said for said in told["warnings"])
 
 
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a short trial and a dry run."""
+    folder = tmp_path_factory.mktemp("recorded")
+    for name, more in (("good.mcap", ()), ("dry.mcap", ("--dry-run",))):
+        assert run(["trial", "--cycles", "1", "--settle", "0", "--period", "1.2", *more, "-o", str(folder / name),
+                    "--json"]) == 0
+    return folder
+
+
 @pytest.mark.parametrize(("words", "said"), [
     (("--experiment", "repeat"), "name it with --motion-of"),
     (("--motion-of", "good.mcap", "--peak", "40", "--soft-start", "1"), "leave --peak, --soft-start out"),
@@ -56,10 +67,9 @@ def test_rope_and_knee_move_as_they_did_and_the_controller_replays(ran: Path, bo
     (("--motion-of", "none.mcap"), "none.mcap"),
 ], ids=lambda given: " ".join(given) if isinstance(given, tuple) else "")
 def test_a_motion_that_cannot_be_repeated_is_refused_in_one_sentence(
-    here: Path, bowden: Callable[..., Any], words: tuple[str, ...], said: str
+    recorded: Path, bowden: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], said: str
 ) -> None:
-    for name, more in (("good.mcap", ()), ("dry.mcap", ("--dry-run",))):
-        assert bowden("trial", "--cycles", 1, "--settle", 0, "--period", "1.2", *more, "-o", name, "--json").status == 0
+    monkeypatch.chdir(recorded)
     status, out, err = bowden("trial", *words, "-o", "again.mcap")
     assert (status, out) == (2, "")
     assert said in err

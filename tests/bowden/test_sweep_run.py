@@ -72,7 +72,7 @@ def test_an_interruption_loses_no_trial_that_was_under_way(tmp_path: Path) -> No
     assert all(row["outcome"] == "completed" for row in lines(tmp_path / "t.csv"))
 
 
-@pytest.mark.parametrize("tempo", [0.9, 1.1])
+@pytest.mark.parametrize("tempo", [0.9, pytest.param(1.1, marks=pytest.mark.slow)])
 def test_a_knee_out_of_step_at_the_end_is_led_back_to_the_reference(tempo: float, tmp_path: Path) -> None:
     # half a cycle out of step after five
     rows = sweep_rows.rows(configuration.read(None), {}, [sweep_rows.axis(text) for text in (

@@ -74,7 +74,7 @@ def hide(hidden: Hidden, path: Path, cycles: int) -> Path:
 
 @pytest.mark.parametrize(("hidden", "verdict"), [
     pytest.param(hidden, verdict, id=verdict, marks={
-        "unexplained": pytest.mark.exhaustive, "found": ()}.get(verdict, pytest.mark.slow))
+        "unexplained": pytest.mark.exhaustive}.get(verdict, pytest.mark.slow))
     for hidden, verdict in SHORT.items()])
 def test_three_cycles_give_the_verdict_and_the_name(hidden: Hidden, verdict: str, good: Path, tmp_path: Path) -> None:
     found = diagnose([hide(hidden, tmp_path / "hidden.mcap", SHORT_CYCLES)], healthy=[good])

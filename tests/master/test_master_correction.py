@@ -176,7 +176,7 @@ def tracked(folder: Path, at_work: Effects, known: Effects, name: str) -> float:
 @pytest.mark.parametrize(("effects", "name", "least"), [
     ({"start_gain": {"start_gain": 1.06}}, "extended", 0.5),
     pytest.param({"start_gain": {"start_gain": 1.06}}, "paper", 0.3, marks=pytest.mark.exhaustive),
-    ({"cable_friction": {"mu1": 0.16}}, "extended", 0.2),
+    pytest.param({"cable_friction": {"mu1": 0.16}}, "extended", 0.2, marks=pytest.mark.slow),
 ])
 def test_knowing_the_effect_mends_what_it_does_to_the_force(
     effects: Effects, name: str, least: float, tmp_path: Path

@@ -22,7 +22,8 @@ def walked() -> tuple[Bench, Motion]:
     return bench, gait(bench, 40.0, 1.3, 3)
 
 
-@EACH
+@pytest.mark.parametrize("implementation", [
+    pytest.param(name, marks=() if name in ("maxwell", "lugre") else pytest.mark.slow) for name in IMPLEMENTATIONS])
 def test_end_follows_the_desired_force(implementation: str) -> None:
     bench = draws.draw(3, 1, implementation)
     motion = gait(bench, 50.0, 1.5, 3)
