@@ -3,23 +3,24 @@
 Commands:
 
     python -m benchmarks.logbook            cost of each operation
-    python -m benchmarks.logbook --recorded DIR [--serials 0,1] [--healthy 20] [--sessions 8] [--changes NAMES]
-                                            benches recorded into DIR: alarms without a change, changes dated and named
+    python -m benchmarks.logbook --recorded DIR [--kinds NAMES] [--serials 0,1] [--healthy 20] [--sessions 8]
+                                 [--changes NAMES]      alarms without a change; changes stated, dated and named
 
 Serials with serial % 3 == 2 are set aside: nothing is tuned on them (`tests.plants.draws`).  A session is six gait
-cycles; sessions are entered as `bowden logbook add` does, in the order that `--order` states.  The constants of a
-session are drawn anew within the tolerance of like benches, or, for the packaged plant, are those of another `--day`.
-A change begins in session `BEGINS`; the sessions before it are the healthy bench's own, recorded once.
+cycles, recorded once into DIR and entered as `bowden logbook add` does.  The constants of a session are drawn anew
+within the tolerance of like benches, or, for the packaged plant, are those of another `--day`.  A change begins in
+session `BEGINS`; the sessions before it are the bench's own without a change, fitted once for all its logbooks.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import shutil
 import sqlite3
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -32,9 +33,8 @@ from bowden.models.logbook_entries import diagnosed_state
 from bowden.trials import session as trials
 from estimation.linear_sums import SessionSums
 from logbook import bench_page, database
-from logbook.bench_state import BenchState, state_of
+from logbook.bench_state import BenchState, averaged_nats, state_of
 from logbook.database import NewTrial, open_logbook
-from physics.effects.hypotheses import HYPOTHESES
 from tests.hidden.family import like
 from tests.plants import draws, imposed
 from tests.plants.bench import IMPLEMENTATIONS, Bench, replaced
@@ -129,12 +129,19 @@ TRIALS, PER_SESSION = 100_000, 10
 
 
 class Outcome(NamedTuple):
-    """What a logbook states of one bench: changed, first session of the change, effects and part of the bench."""
+    """What a logbook states of one bench: log Bayes factor of a change, nats, whether it is stated, its first session,
+    its effects and the part of the bench."""
 
+    nats: float
     changed: bool
     since: str | None
     effects: tuple[str, ...]
     part: str | None
+
+    def __str__(self) -> str:
+        """Return the outcome as one line."""
+        return (f"{', '.join(self.effects) or 'no effect'} ({self.part}), since session {self.since}, "
+                f"{self.nats:.1f} nats" if self.changed else f"no change, {self.nats:.1f} nats")
 
 
 def main() -> None:
@@ -146,65 +153,50 @@ def main() -> None:
     parser.add_argument("--healthy", type=int, default=20, help="sessions of a bench without a change")
     parser.add_argument("--sessions", type=int, default=8, help="changed sessions of a bench with a change")
     parser.add_argument("--changes", default=",".join(CHANGES), help="changes, with commas")
-    parser.add_argument("--order", choices=("dates", "reversed"), default="dates", help="order of entry")
     given = parser.parse_args()
     if given.recorded is None:
         performance()
         return
-    benches = [(kind, int(serial)) for kind in given.kinds.split(",") for serial in given.serials.split(",")]
-    alarms(given.recorded, benches, given.healthy, given.order)
-    for change in filter(None, given.changes.split(",")):
-        changes(given.recorded, benches, change, given.sessions, given.order)
-
-
-def alarms(folder: Path, benches: Sequence[tuple[str, int]], sessions: int, order: str) -> None:
-    """Print how many benches without a change alarm after any of their sessions."""
-    raised = 0
+    benches = [(kind, int(serial)) for serial in given.serials.split(",") for kind in given.kinds.split(",")]
+    names = [name for name in given.changes.split(",") if name]
+    found: dict[str | None, list[Outcome]] = {name: [] for name in (None, *names)}
     for kind, serial in benches:
-        found = _followed(folder, kind, serial, sessions, None, order, every=True)
-        alarmed = [one for one in found if one.changed]
-        raised += bool(alarmed)
-        print(f"healthy {kind} {serial}: " + (f"alarm of {', '.join(alarmed[0].effects)}, since session "
-                                              f"{alarmed[0].since}" if alarmed else "no alarm"), flush=True)
-    print(f"healthy: {raised} of {len(benches)} benches alarm in {sessions} sessions", flush=True)
+        for name, outcome in followed(given.recorded, kind, serial, given.healthy, given.sessions, names):
+            found[name].append(outcome)
+            print(f"{kind} {serial}, {name or 'no change'}: {outcome}", flush=True)
+    print(f"\n| change | benches | stated | dated within a session | of these in the right part |\n|{'---|' * 5}")
+    for name, outcomes in found.items():
+        case = CHANGES[name] if name else None
+        near = [one for one in outcomes if one.since is not None and abs(int(one.since) - BEGINS) <= 1]
+        last = (len(near), sum(one.part == case.part for one in near)) if case else ("–", "–")
+        stated = sum(one.changed for one in outcomes)
+        print(f"| {name or f'none, {given.healthy} sessions'} | {len(outcomes)} | {stated} | {last[0]} | {last[1]} |")
 
 
-def changes(folder: Path, benches: Sequence[tuple[str, int]], change: str, sessions: int, order: str) -> None:
-    """Print how many changes are stated, dated within a session, and named in the right part of the bench."""
-    case, stated, dated, right = CHANGES[change], 0, 0, 0
-    for kind, serial in benches:
-        found = _followed(folder, kind, serial, BEGINS + sessions, change, order)[-1]
-        near = found.since is not None and abs(int(found.since) - BEGINS) <= 1
-        stated, dated, right = stated + found.changed, dated + near, right + (near and found.part == case.part)
-        print(f"{change} {kind} {serial}: since {found.since}, {', '.join(found.effects) or 'nothing'} ({found.part})",
-              flush=True)
-    print(f"{change}: {stated} of {len(benches)} stated, {dated} dated within a session, {right} of these in the right "
-          "part", flush=True)
-
-
-def _followed(folder: Path, kind: str, serial: int, sessions: int, change: str | None, order: str, *,
-              every: bool = False) -> list[Outcome]:
-    """Enter a bench's sessions in a logbook; return what is stated at the end, or after every session."""
+def followed(folder: Path, kind: str, serial: int, healthy: int, sessions: int, names: Sequence[str]
+             ) -> Iterator[tuple[str | None, Outcome]]:
+    """Yield what is stated of a bench without a change, by the session with the most evidence, and with each change."""
     with tempfile.TemporaryDirectory() as place:
-        book = Path(place) / "book"
-        database.create(book, f"{kind} {serial}")
-        numbers = range(sessions) if order == "dates" else range(sessions)[::-1]
-        found = []
-        for k in numbers:
-            logbook_entries.add(book, record(folder, kind, serial, k, change), str(k))
-            if every or k == numbers[-1]:
-                with open_logbook(book) as opened:
-                    found.append(_outcome(state_of(opened) if every else diagnosed_state(opened)))
-        return found
+        begun = Path(place) / "begun"
+        database.create(begun, f"{kind} {serial}")
+        logbook_entries.add(begun, {record(folder, kind, serial, k): str(k) for k in range(BEGINS)})
+        for number, name in enumerate((None, *names)):
+            book = Path(shutil.copytree(begun, Path(place) / str(number)))
+            last, found = BEGINS + sessions if name else healthy, []
+            for k in range(BEGINS, last):
+                logbook_entries.add(book, {record(folder, kind, serial, k, name): str(k)})
+                if name is None or k == last - 1:
+                    with open_logbook(book) as opened:
+                        found.append(_outcome(diagnosed_state(opened) if name else state_of(opened)))
+            if found:
+                yield name, max(found, key=lambda one: one.nats)
 
 
 def _outcome(state: BenchState) -> Outcome:
+    nats = averaged_nats(state.changes) if state.changes else -math.inf
     if not state.alarms:
-        return Outcome(False, None, (), None)
-    names = state.named()
-    part = state.cause.part if state.cause is not None and state.cause.named else (
-        HYPOTHESES[names[0]].part if names else None)
-    return Outcome(True, state.labels.get(state.alarms[0].since), names, part)
+        return Outcome(nats, False, None, (), None)
+    return Outcome(nats, True, state.labels.get(state.alarms[0].since), state.named(), state.caused()["part"])
 
 
 def performance() -> None:
@@ -246,7 +238,7 @@ def _filled(folder: Path) -> None:
     """Fill a logbook in one transaction with the sums of a recorded session; what entries cost is measured afterwards.
     """
     recorded = folder.parent / "recorded"
-    logbook_entries.add(folder, record(recorded, KINDS[0], 0, 0), "0")
+    logbook_entries.add(folder, {record(recorded, KINDS[0], 0, 0): "0"})
     with open_logbook(folder) as book:
         sums: SessionSums = next(iter(book.sums(1, [1]).values()))
     upper = sums.sums.square[np.triu_indices(sums.sums.pull.size)].tobytes()

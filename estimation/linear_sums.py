@@ -17,7 +17,7 @@ from estimation.forward_model import ForwardModel
 from estimation.likelihood_data import Recording
 from estimation.posterior import bounded, mode
 from estimation.reference_fit import ReferenceFit
-from physics.effects.hypotheses import Variant
+from physics.effects.hypotheses import Direction, Variant
 from physics.forward.constant_table import ConstantTable
 from physics.laws import Array
 
@@ -27,11 +27,15 @@ DRIFTING: Final = ("cable", "fabric")
 
 
 class EffectColumns(NamedTuple):
-    """Columns of one variant of an effect among the columns of all effects, E."""
+    """Columns of one variant of an effect among the columns of all effects, E.
+
+    `secant`: the column is the change of the prediction by 1σ of the effect, not the slope at no effect.
+    """
 
     effect: str
     variant: Variant
     at: slice
+    secant: bool = False
 
 
 class Sums(NamedTuple):
@@ -54,15 +58,20 @@ class Slopes(NamedTuple):
 
 
 def effect_columns(fit: ReferenceFit) -> list[EffectColumns]:
-    """Return the columns of every variant that moves one of the outputs."""
-    values = fit.model.constants.named(fit.prior.coordinates(fit.model.constants))
-    found, first = [], 0
+    """Return the columns of every variant that moves one of the outputs.
+
+    An effect along constants that cannot be negative has a secant, too: a dead band of the size of a worn gear is
+    beyond the range in which the model is linear.
+    """
+    table = fit.model.constants
+    values, found, first = table.named(fit.prior.coordinates(table)), [], 0
     for name, hypothesis in fit.model.hypotheses.items():
         if set(hypothesis.needs) <= set(fit.outputs):
             for variant in hypothesis.variants(values):
-                count = len(variant.directions)
-                found.append(EffectColumns(name, variant, slice(first, first + count)))
-                first += count
+                forms = {table.rows[table.index[n]].form for d in variant.directions for n in d.along}
+                for secant in (False, True) if forms == {"positive"} else (False,):
+                    found.append(EffectColumns(name, variant, slice(first, first + len(variant.directions)), secant))
+                    first = found[-1].at.stop
     return found
 
 
@@ -78,25 +87,26 @@ def slopes(model: ForwardModel, columns: Sequence[EffectColumns], q: Array, tria
     for part in columns:
         names = [n for d in part.variant.directions for n in _along(table, d.along)]
         origin = _origin(model, q, part.variant, names)
-        parts.append([(d, [(batch.moved(origin, n), n, share) for n, share in _along(table, d.along).items()])
-                      for d in part.variant.directions])
+        parts.append([(d, [(batch.far(origin, d), 1.0)] if part.secant else [
+            (batch.moved(origin, n), share) for n, share in _along(table, d.along).items()])
+            for d in part.variant.directions])
     data = model.predict(np.stack(batch.sets, axis=1), trial)
-    slope = [np.zeros(0) if of is None else (data[k] - data[of]) / table.step[i] for k, (of, i) in enumerate(batch.of)]
+    slope = [np.zeros(0) if of is None else (data[k] - data[of]) / by for k, (of, by) in enumerate(batch.of)]
     progress = np.tile(trial.binned(trial.progress), len(trial.outputs))
     effects = []
     for part_of in parts:
         for direction, terms in part_of:
-            column = np.sum([share * slope[k] for k, _, share in terms], axis=0)
+            column = np.sum([share * slope[k] for k, share in terms], axis=0)
             effects.append(direction.sd * column * (progress if DRIFT in direction.along else 1.0))
     return Slopes(data[0], np.stack([slope[k] for k in base], axis=1), np.stack(effects, axis=1))
 
 
 class _Batch:
-    """Coordinate vectors to simulate; `of`: for each the number of its origin (None: it is one) and its constant."""
+    """Coordinate vectors to simulate; `of`: for each the number of its origin (None: it is one) and its distance."""
 
     def __init__(self, table: ConstantTable, q: Array) -> None:
         self.table, self.sets = table, [q]
-        self.of: list[tuple[int | None, int]] = [(None, 0)]
+        self.of: list[tuple[int | None, float]] = [(None, 0.0)]
         self._known: dict[tuple[tuple[tuple[int, float], ...], str], int] = {((), ""): 0}
 
     def moved(self, origin: tuple[tuple[int, float], ...], name: str) -> int:
@@ -109,14 +119,25 @@ class _Batch:
                     at = self.sets[0].copy()
                     for i, value in origin:
                         at[i] = value
-                    self._add(origin, "", at, (None, 0))
+                    self._add(origin, "", at, (None, 0.0))
             i = self.table.index[name]
             stepped = self.sets[base].copy()
             stepped[i] += self.table.step[i]
-            self._add(origin, name, stepped, (base, i))
+            self._add(origin, name, stepped, (base, self.table.step[i]))
         return self._known[origin, name]
 
-    def _add(self, origin: tuple[tuple[int, float], ...], name: str, at: Array, of: tuple[int | None, int]) -> None:
+    def far(self, origin: tuple[tuple[int, float], ...], direction: Direction) -> int:
+        """Return the number of the vector with 1σ of an effect along a direction, from `origin` on."""
+        at = self.sets[0].copy()
+        for i, value in origin:
+            at[i] = value
+        for name, share in direction.along.items():
+            at[self.table.index[name]] += direction.sd * share
+        self.sets.append(at)
+        self.of.append((0, direction.sd))
+        return len(self.sets) - 1
+
+    def _add(self, origin: tuple[tuple[int, float], ...], name: str, at: Array, of: tuple[int | None, float]) -> None:
         self._known[origin, name] = len(self.sets)
         self.sets.append(at)
         self.of.append(of)

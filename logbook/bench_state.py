@@ -8,11 +8,13 @@ trials of one session since the change against trials of sessions before it.  A 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
 from estimation.linear_sums import effect_columns
@@ -157,10 +159,11 @@ NEWEST: Final = 60
 """Newest sessions that changes are searched in, besides the reference sessions: bounds the cost of a long logbook."""
 LEAST_REFERENCES: Final = 3
 """Reference sessions before anything is stated: two do not show how far sessions of a bench scatter."""
-ALARM_NATS: Final = 10.0
-"""Log Bayes factor from which a change is stated: `python -m benchmarks.logbook --recorded` prints the rates.
+ALARM_NATS: Final = math.log(60.0)
+"""Log Bayes factor, averaged over all effects of the catalogue, from which a change is stated.
 
-If it is too small, benches without a change alarm; if it is too large, small changes are stated some sessions later."""
+Of benches without a change at most one in 60 reaches it in any of its sessions (Ville's inequality).  If it is too
+small, such benches alarm; if it is too large, small changes are stated some sessions later."""
 SET_SHARE: Final = 0.5
 """Share of the best log Bayes factor from which an effect is in the ambiguity set, as in a single diagnosis."""
 CANNOT, UNCHANGED, CHANGED = "cannot tell yet", "unchanged", "changed"
@@ -322,7 +325,7 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
     numbers, sequence = followed
     with threadpool_limits(1, user_api="blas"):
         changes, variance = sequence.search() if sequence.count > 1 else ([], sequence.scatter())
-        best = changes[0] if changes and changes[0].nats >= ALARM_NATS else None
+        best = changes[0] if changes and averaged_nats(changes) >= ALARM_NATS else None
         courses = _courses(sequence, variance, best)
     dated = [_dated(sequence, numbers, change) for change in changes]
     alarms = [c for c in dated if best is not None and c.nats >= SET_SHARE * best.nats]
@@ -331,6 +334,11 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
         forecasts=[_forecast(sequence, best, courses, n, v) for n, v in (limits or {}).items()],
         scatter=dict(zip(CONSTANTS, np.sqrt(variance).tolist(), strict=True)),
         cause=kept_cause(book, alarms[0], numbers, common["notes"]) if alarms else None, **common)
+
+
+def averaged_nats(changes: Sequence[Change | DatedChange]) -> float:
+    """Return the log of the Bayes factor of a change, averaged over its effects."""
+    return float(logsumexp([change.nats for change in changes])) - math.log(len(changes))
 
 
 def sequence_of(book: Logbook, without: int | None = None) -> tuple[tuple[int, ...], SessionSequence] | None:

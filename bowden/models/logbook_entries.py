@@ -42,25 +42,28 @@ EPOCH_NS: Final = 10**17
 FIGURES: Final = ("relative_rmse_percent", "relative_rmse_window_percent", "max_idle_tension_n", "peak_jump_n")
 
 
-def add(folder: Path, path: Path, session: str | None = None, figures: Mapping[str, Any] | None = None
-        ) -> tuple[TrialEntry, bool]:
-    """Enter a trial or a table, fit it, and return its entry and whether it is new; acknowledged once this returns.
+def add(folder: Path, files: Mapping[Path, str | None], figures: Mapping[str, Any] | None = None
+        ) -> list[tuple[TrialEntry, bool]]:
+    """Enter trials or tables, fit them, and return each entry and whether it is new; acknowledged once this returns.
 
-    `session`: its label (None: the recording's own date, of a simulated bench its day).  A file that was entered is not
-    entered again and keeps its session.
+    `files`: by path the label of the session (None: the recording's own date, of a simulated bench its day).  All are
+    read before the first one is entered.  A file that was entered is not entered again and keeps its session.
     """
     with open_logbook(folder) as book:
-        described = _described(path, figures, book.path)
-        known = {entry.id: entry.label for entry in book.sessions()}.get(book.session_of(described.digest) or 0)
-        label = known or _label(path, session, described)
-        number, new = book.enter_trial(described, label, _place(label, path, described))
+        labels = {entry.id: entry.label for entry in book.sessions()}
+        given = []
+        for path, session in files.items():
+            described = _described(path, figures, book.path)
+            label = labels.get(book.session_of(described.digest) or 0) or _label(path, session, described)
+            given.append((described, label, _place(label, path, described)))
+        entries = [book.enter_trial(*one) for one in given]
         fit_missing(book)
-        return book.trials(1, trial=number)[0], new
+        return [(book.trials(1, trial=number)[0], new) for number, new in entries]
 
 
 def entered(folder: Path, path: Path, session: str, figures: Mapping[str, Any]) -> dict[str, Any]:
     """Enter a trial that was just recorded; return its number, session and whether it was fitted."""
-    entry, _ = add(folder, path, session, figures)
+    [(entry, _)] = add(folder, {path: session}, figures)
     return {"logbook": str(folder), "trial": entry.id, "session": entry.label, "fitted": entry.estimated,
             "remark": entry.remark}
 
@@ -129,7 +132,7 @@ def against_history(folder: Path, path: Path) -> dict[str, Any]:
 
 def add_verdict(folder: Path, path: Path, content: Mapping[str, Any]) -> None:
     """Enter the verdict on a trial; the trial is entered, too, if it is new."""
-    entry, _ = add(folder, path)
+    [(entry, _)] = add(folder, {path: None})
     with open_logbook(folder) as book:
         book.enter_verdict(entry.id, content)
 

@@ -63,10 +63,8 @@ def add_trials(folder: Folder, files: Files, session: options.Session = None) ->
     """
     from bowden.models import logbook_entries
 
-    entries = []
-    for file in files:
-        with terminal.waiting(f"fitting {file}"):
-            entries.append(logbook_entries.add(folder, file, session))
+    with terminal.waiting(f"fitting {len(files)} trials"):
+        entries = logbook_entries.add(folder, dict.fromkeys(files, session))
     added = [entry._asdict() | {"new": new} for entry, new in entries]
     return CommandAnswer({"logbook": str(folder), "added": added}, [
         f"Trial {entry.id}, session {entry.label}: {entry.path}" + ("" if new else "; it was entered before")
