@@ -34,6 +34,10 @@ from estimation.reference_fit import ReferenceFit
 from physics.laws import Array
 
 COURSES: Final = ("step", "ramp")
+SHARES: Final = (1.0, 4.0, 16.0, 64.0)
+"""Variances of an effect's size between sessions that are averaged, relative to `SURROGATE`².
+
+With the first one alone, a bench with a loose knee has 23 nats of a backlash without a change (20 sessions)."""
 
 
 class Change(NamedTuple):
@@ -68,6 +72,14 @@ class _IntegratedSessions:
     pull: Array
     inner: Array
     constant: float
+
+
+class _Base(NamedTuple):
+    """Information about (b, r): precision, pull, and products with the effect columns, shape (sessions, (b, r), E)."""
+
+    precision: Array
+    pull: Array
+    cross: Array
 
 
 class SessionSequence:
@@ -211,66 +223,84 @@ class SessionSequence:
         order = sorted(best.values(), key=lambda item: -item[0].nats)
         return [change for change, _ in order], order[0][1]
 
-    def _base(self, sessions: _IntegratedSessions) -> tuple[Array, Array, list[Array]]:
-        """Return covariance and mean of (b, r) without a change, and the design of each session."""
-        designs = [self.design(k) for k in range(self.count)]
-        return *_solved(designs, sessions), designs
-
     def _null(self, sessions: _IntegratedSessions) -> float:
         """Return the log evidence of no change, nats."""
-        covariance, mean, _ = self._base(sessions)
-        return sessions.constant + 0.5 * float(mean @ np.linalg.solve(covariance, mean)) + 0.5 * float(
-            np.linalg.slogdet(covariance)[1])
+        base = self._base(sessions)
+        return sessions.constant + _integral(base.precision, base.pull)
+
+    def _base(self, sessions: _IntegratedSessions) -> _Base:
+        """Return the information about (b, r) without a change, and its products with the effect columns."""
+        designs = [self.design(k) for k in range(self.count)]
+        rows = [u.T @ square for u, square in zip(designs, sessions.square, strict=True)]
+        return _Base(np.eye(designs[0].shape[1]) + sum(row @ u for row, u in zip(rows, designs, strict=True)),
+                     sum(u.T @ pull for u, pull in zip(designs, sessions.pull, strict=True)),
+                     np.stack([row[:, self.size:] for row in rows]))
 
     def _searched(self, sessions: _IntegratedSessions, none: float) -> list[Change]:
         """Return the best variant of each effect; `none`: log evidence of no change, nats."""
         more = self._null(sessions) - none
         base = self._base(sessions)
-        free = {self.fit.model.constants.names[i] for i in self.fit.model.constants.free}
         best: dict[str, Change] = {}
         for part in self.columns:
-            if part.variant.at or not {n for d in part.variant.directions for n in d.along} <= free:
-                own = self._scattered(sessions, part)
-                change = self._evidence(own, *self._base(own), part)
-            else:
-                change = self._evidence(sessions, *base, part)
+            change = self._evidence(sessions, base, part)
             if part.effect not in best or change.nats > best[part.effect].nats:
                 best[part.effect] = change
         return [change._replace(nats=change.nats + more) for change in best.values()]
 
-    def _scattered(self, sessions: _IntegratedSessions, part: EffectColumns) -> _IntegratedSessions:
-        """Return the sessions with a scatter between them of an effect that no constant of the bench has."""
-        own = slice(self.size + part.at.start, self.size + part.at.stop)
-        across = sessions.square[:, :, own]
-        # a size of σ = SURROGATE in each session is integrated out
-        solved = across @ np.linalg.inv(sessions.square[:, own, own] + np.eye(own.stop - own.start) / SURROGATE**2)
-        return _IntegratedSessions(
-            sessions.square - solved @ across.transpose(0, 2, 1),
-            sessions.pull - np.einsum("sia,sa->si", solved, sessions.pull[:, own]), sessions.inner, sessions.constant)
+    def _shares(self, part: EffectColumns) -> Sequence[float]:
+        """Return the variances of an effect's size between sessions that are averaged, relative to `SURROGATE`².
 
-    def _evidence(self, sessions: _IntegratedSessions, covariance: Array, mean: Array, designs: Sequence[Array],
-                  part: EffectColumns) -> Change:
-        """Return the evidence of one variant, averaged over course and begin, with the likeliest of both."""
-        cross = np.stack([u.T @ square[:, self.size:] for u, square in zip(designs, sessions.square, strict=True)])
+        An effect along constants that are followed has theirs; one that cannot be negative has a slope of its own
+        in each session.
+        """
+        table = self.fit.model.constants
+        followed = {table.names[i] for i in table.free if table.rows[i].form != "positive"}
+        along = {name for direction in part.variant.directions for name in direction.along}
+        return SHARES if part.variant.at or not along <= followed else (0.0,)
+
+    def _evidence(self, sessions: _IntegratedSessions, base: _Base, part: EffectColumns) -> Change:
+        """Return the evidence of one variant, averaged over course and begin, with the likeliest of both.
+
+        It is averaged over the scatters of its size between sessions, too, as far as the sessions support them.
+        """
         own = slice(self.size + part.at.start, self.size + part.at.stop)
-        square, pull, between = sessions.square[:, own, own], sessions.pull[:, own], cross[:, :, part.at]
+        square, pull, between = sessions.square[:, own, own], sessions.pull[:, own], base.cross[:, :, part.at]
         w, eye = np.concatenate(list(self.weights().values())), np.eye(square.shape[1])
-        carried, always = np.einsum("ws,spa->wpa", w, between), between.sum(axis=0)
-        before = np.linalg.inv(eye + square.sum(axis=0) - always.T @ covariance @ always)
-        across = np.einsum("ws,sab->wab", w, square) - np.einsum(
-            "wpa,pb->wab", carried, covariance @ always, optimize=True)
-        inner = eye + np.einsum("ws,sab->wab", w**2, square) - np.einsum(
-            "wpa,pq,wqb->wab", carried, covariance, carried, optimize=True)
-        inner -= across @ before @ across.transpose(0, 2, 1)
-        g = w @ pull - np.einsum("wpa,p->wa", carried, mean)
-        g -= across @ before @ (pull.sum(axis=0) - always.T @ mean)
-        sizes = np.linalg.solve(inner, g[:, :, None])[:, :, 0]
-        nats = 0.5 * np.einsum("wa,wa->w", g, sizes) - 0.5 * np.linalg.slogdet(inner)[1]
+        found = []
+        for share in self._shares(part):
+            # a size of variance τ² in each session is integrated out: (I + τ²G)⁻¹, Woodbury's identity
+            variance = share * SURROGATE**2
+            less = np.linalg.inv(eye + variance * square)
+            kept, pulled, across = less @ square, np.einsum("sab,sb->sa", less, pull), between @ less.transpose(0, 2, 1)
+            precision = base.precision - variance * np.einsum("spa,sqa->pq", across, between, optimize=True)
+            mean = base.pull - variance * np.einsum("spa,sa->p", across, pull)
+            always = across.sum(axis=0)
+            null = _integral(precision, mean) + 0.5 * float(np.linalg.slogdet(less)[1].sum()) + (
+                0.5 * variance * float(np.sum(pull * pulled)))
+            covariance = np.linalg.inv(precision)
+            mean = covariance @ mean
+            before = eye + kept.sum(axis=0) - always.T @ covariance @ always
+            first = pulled.sum(axis=0) - always.T @ mean
+            carried = np.einsum("ws,spa->wpa", w, across)
+            led = np.einsum("wpa,pq->wqa", carried, covariance, optimize=True)
+            cross = np.einsum("ws,sab->wab", w, kept) - np.einsum("wqa,qb->wab", led, always)
+            inner = eye + np.einsum("ws,sab->wab", w**2, kept) - np.einsum("wqa,wqb->wab", led, carried)
+            solved = np.linalg.inv(before)
+            inner -= cross @ solved @ cross.transpose(0, 2, 1)
+            g = w @ pulled - np.einsum("wpa,p->wa", carried, mean) - cross @ solved @ first
+            sizes = np.linalg.solve(inner, g[:, :, None])[:, :, 0]
+            prior = -0.5 * self.scatter_sessions * (np.log(share) + 1.0 / share) if share else 0.0
+            found.append((prior + null + _integral(before, first), 0.5 * np.einsum("wa,wa->w", g, sizes)
+                          - 0.5 * np.linalg.slogdet(inner)[1], sizes, inner))
+        weight = np.array([of for of, *_ in found])
+        weighted = np.array([nats for _, nats, *_ in found]) + (weight - logsumexp(weight))[:, None]
+        nats, at = logsumexp(weighted, axis=0), int(weighted.max(axis=0).argmax())
+        _, _, sizes, inner = found[int(weighted[:, at].argmax())]
         total = float(logsumexp(nats))
-        share = np.exp(nats - total).reshape(len(COURSES), -1)
-        summed = np.cumsum(share.sum(axis=0))
+        share_of = np.exp(nats - total).reshape(len(COURSES), -1)
+        summed = np.cumsum(share_of.sum(axis=0))
         low, high = (int(np.searchsorted(summed, q)) for q in (0.025, 0.975))
-        at, begins = int(nats.argmax()), self.begins
+        begins = self.begins
         return Change(part.effect, total - float(np.log(nats.size)), COURSES[at // begins.size],
                       int(begins[at % begins.size]), int(begins[low]), int(begins[min(high, begins.size - 1)]),
                       sizes[at], np.sqrt(np.diag(np.linalg.inv(inner[at]))), part)
@@ -322,6 +352,11 @@ class SessionSequence:
         own = departure[:self.free]
         return (own * np.sqrt(self.population), own / np.sqrt(np.diag(prior)[:self.free]),
                 float(chi2.sf(squared, int(kept.sum()))))
+
+
+def _integral(precision: Array, pull: Array) -> float:
+    """Return the log of a Gaussian integral over parameters with a prior of N(0, 1), nats."""
+    return 0.5 * float(pull @ np.linalg.solve(precision, pull)) - 0.5 * float(np.linalg.slogdet(precision)[1])
 
 
 def _solved(designs: Sequence[Array], sessions: _IntegratedSessions) -> tuple[Array, Array]:
