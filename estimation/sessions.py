@@ -250,8 +250,8 @@ class SessionSequence:
     def _shares(self, part: EffectColumns) -> Sequence[float]:
         """Return the variances of an effect's size between sessions that are averaged, relative to `SURROGATE`².
 
-        An effect along constants that are followed has theirs; one that cannot be negative has a slope of its own
-        in each session.
+        An effect along constants that are followed has their variance.  The slope by a constant that cannot be negative
+        differs from session to session.
         """
         table = self.fit.model.constants
         followed = {table.names[i] for i in table.free if table.rows[i].form != "positive"}

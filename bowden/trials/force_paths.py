@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from eds.bench.bench_network import Network
     from eds.declaration import DeclaredBench, ForcePath
     from master.motion.experiment_run import ExperimentSetup
+    from physics.bench_model import BenchModel
     from physics.reference import Reference
     from trial.read import TrialFile
 
@@ -25,6 +26,13 @@ def several(bench: DeclaredBench) -> bool:
 def file_of(given: Path, path: str) -> Path:
     """Return the file of one path beside a file that a command names: own.toml and left make own.left.toml."""
     return given.with_name(f"{given.stem}.{path}{given.suffix}")
+
+
+def without_file(given: Path | BenchModel, network: Network) -> set[str]:
+    """Return the paths that have no file beside `given`; none of them if no path has one, or if it is no file."""
+    names = {path.name for path in network.bench.force_paths}
+    having = {name for name in names if isinstance(given, Path) and file_of(given, name).exists()}
+    return names - having if having else set()
 
 
 def bench_of(bench: str, path: str) -> str:

@@ -237,19 +237,23 @@ def _several_paths(
     controller_model: Path | BenchModel | None, chosen: BusSettings, dry_run: bool, script: str | None,
     files: Mapping[str, bytes],
 ) -> PreparedTrial:
-    """Join sections to an experiment of several force paths; each path has its calibration file."""
+    """Join sections to an experiment of several force paths; each path has its calibration file.
+
+    A controller model may have a file of some of the paths alone; no effect is compensated on the others.
+    """
     from master.control import controller
     from master.motion.experiment_run import ExperimentSetup
     from physics.bench_model import nominal
     from physics.calibration import refuse_beyond_validity
 
     whole = ExperimentSetup(reference=reference, dry_run=dry_run, **sections)
-    setups = {}
+    setups: dict[str, ExperimentSetup] = {}
+    without = set() if controller_model is None else force_paths.without_file(controller_model, sections["network"])
     for path in sections["network"].bench.force_paths:
         bench = force_paths.bench_of(_bench(chosen), path.name)
         given = [force_paths.file_of(each, path.name) if isinstance(each, Path) else each
                  for each in (calibration, controller_model)]
-        model, told = (_read(each, bench) for each in given)
+        model, told = (_read(each, bench) for each in (given[0], None if path.name in without else given[1]))
         measured = next((known for known in (model, told) if known is not None and known.values), nominal()).calibration
         setups[path.name] = force_paths.setup_of(
             whole, path, calibration=measured, **beyond(model, told))

@@ -47,6 +47,7 @@ COMMANDS: Final = (
     Command("fit", ("fit", "good.mcap", "paper.mcap", "-o", "fitted.toml"), of_path=True),
     Command("diagnose", ("diagnose", "extended.mcap", "--healthy", "good.mcap"), of_path=True),
     Command("plan", ("plan", "extended.mcap", "--healthy", "good.mcap"), of_path=True),
+    Command("verify", ("verify", "worn.toml", *GAIT[1:], *AGAIN, "-o", "verified.mcap"), of_path=True),
     Command("replay --onto controller", ("replay", "paper.mcap", "--onto", "controller"), of_path=True),
     Command("report", ("report", "paper.mcap", "-o", "page.html")),
     Command("compare", ("compare", "good.mcap", "paper.mcap")),
@@ -75,6 +76,8 @@ def answers(shape: str, folder: Path) -> Iterator[Answer]:
     """Yield the answer to each command on a packaged declaration, in the order of the table, inside `folder`."""
     (folder / "bench.toml").write_text(configuration.as_template(shape=shape), encoding="utf-8")
     paths = [path.name for path in packaged(shape).force_paths]
+    worn = f"worn.{paths[-1]}.toml" if len(paths) > 1 else "worn.toml"
+    (folder / worn).write_text("[effects.presliding]\npresliding = 3e-4\n", encoding="utf-8")
     before = Path.cwd()
     os.chdir(folder)
     try:

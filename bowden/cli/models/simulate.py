@@ -10,6 +10,7 @@ from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import Bus, SimulatedOptions, WalkOptions, argument, option
 from bowden.cli.terminal import CommandAnswer
+from parameters import InputError
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
@@ -95,11 +96,12 @@ VERIFIED = (
 def verify(
     model: VerifiedModel, output: VerifiedTrials, walk: WalkOptions, rate: options.Rate = None,
     calibration: options.Calibration = None, *, simulated: SimulatedOptions, reached: Bus,
-    overwrite: options.Overwrite = False,
+    path: options.ForcePath = None, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Measure what compensation of named effects gains in the control loop.
 
-    One experiment twice on a bench, without and with compensation of the effects in EXTENDED.
+    One experiment twice on a bench, without and with compensation of the effects in EXTENDED.  Of several force paths
+    EXTENDED has one file each, such as extended.left.toml; a path without one is not compensated.
 
     The controller is the extended one unless another is named.
 
@@ -113,6 +115,9 @@ def verify(
         peak_given=walk.peak is not None)
     chosen = reached.chosen(simulated)
     files = {name: output.with_name(f"{output.stem}-{name}{output.suffix}") for name in ("before", "after")}
+    names = [one.name for one in sections["network"].bench.force_paths]
+    if (path is not None or len(names) > 1) and path not in names:
+        raise InputError(f"--path {path or 'is missing'}: name the force path that is judged, of {', '.join(names)}.")
     output_files.refuse_ending(output, ".mcap", what="a trial")
     output_files.refuse(files.values(), overwrite=overwrite, inputs=[
         model, calibration, reached.config, simulated.plant_model])
@@ -120,10 +125,12 @@ def verify(
         name: session.prepare(sections, reference, calibration, chosen, dry_run=False,
                               controller_model=model if name == "after" else None) for name in files}
     progress = terminal.Terminal()
-    figures = {name: session.perform(prepared[name], path, overwrite=overwrite, progress=progress,
+    figures = {name: session.perform(prepared[name], file, overwrite=overwrite, progress=progress,
                                      announce="" if terminal.quiet() else f"{name}, bench on {chosen.told}.")
-               for name, path in files.items()}
-    result = _compared(model, prepared["after"].experiment, figures)
+               for name, file in files.items()}
+    extended = prepared["after"].paths.get(path or "", prepared["after"].experiment)
+    figures = {name: one | one.get("paths", {}).get(path, {}) for name, one in figures.items()}
+    result = _compared(model, extended, figures)
     return CommandAnswer(result, lambda: _tell_verified(result, figures),
                   max(ending.status_of(one["outcome"], one["stop_reason"]) for one in figures.values()))
 
