@@ -34,10 +34,6 @@ from estimation.reference_fit import ReferenceFit
 from physics.laws import Array
 
 COURSES: Final = ("step", "ramp")
-SHARES: Final = (1.0, 4.0, 16.0, 64.0)
-"""Variances of an effect's size between sessions that are averaged, relative to `SURROGATE`².
-
-With the first one alone, a bench with a loose knee has 23 nats of a backlash without a change (20 sessions)."""
 
 
 class Change(NamedTuple):
@@ -251,12 +247,13 @@ class SessionSequence:
         """Return the variances of an effect's size between sessions that are averaged, relative to `SURROGATE`².
 
         An effect along constants that are followed has their variance.  The slope by a constant that cannot be negative
-        differs from session to session.
+        differs from session to session: with `SURROGATE`² alone a bench with a loose knee has 23 nats of a backlash
+        without a change (20 sessions).  The variances are nodes of an integral, up to 0.8 of the effect's σ.
         """
         table = self.fit.model.constants
         followed = {table.names[i] for i in table.free if table.rows[i].form != "positive"}
         along = {name for direction in part.variant.directions for name in direction.along}
-        return SHARES if part.variant.at or not along <= followed else (0.0,)
+        return (1.0, 4.0, 16.0, 64.0) if part.variant.at or not along <= followed else (0.0,)
 
     def _evidence(self, sessions: _IntegratedSessions, base: _Base, part: EffectColumns) -> Change:
         """Return the evidence of one variant, averaged over course and begin, with the likeliest of both.
