@@ -247,8 +247,8 @@ class SessionSequence:
         """Return the variances of an effect's size between sessions that are averaged, relative to `SURROGATE`².
 
         An effect along constants that are followed has their variance.  The slope by a constant that cannot be negative
-        differs from session to session: with `SURROGATE`² alone a bench with a loose knee has 23 nats of a backlash
-        without a change (20 sessions).  The variances are nodes of an integral, up to 0.8 of the effect's σ.
+        differs from session to session: without a variance a bench with a loose knee has 23 nats of a backlash without
+        a change (20 sessions), with `SURROGATE`² alone 11.  The variances are nodes of an integral.
         """
         table = self.fit.model.constants
         followed = {table.names[i] for i in table.free if table.rows[i].form != "positive"}
