@@ -268,7 +268,9 @@ class _Fit:
         self.trials = trials
         self.stated_sd = session_sd or {}
         self.session_sd = self._stated(self.constants.session_sd)
-        self.bench_sd: Array = self.constants.bench_sd[self.free]
+        self.bench_sd: Array = self.constants.bench_sd[self.free].copy()
+        for name, sd in model.surrogate_sd.items():
+            self.bench_sd[self.free.index(self.constants.index[name])] = sd
         self.outputs = trials[0].outputs
         self.reach = reach_of(model, trials)
         self.origin = model.origin(trials[0])
@@ -321,7 +323,7 @@ class _Fit:
     def _finished(self) -> ReferenceFit:
         """Descend with the last estimates of noise and discrepancy, and return the fit."""
         self._descend()
-        self.linear = self._linearised(self.at)
+        self._identify()
         self.scatter_n = self._missed()
         bench = self._bounded()
         # features stay those simulated at the origin: the states change by far less than the length scale
@@ -385,7 +387,8 @@ class _Fit:
 
         ln κ has the prior N(0, 1): the sessions of one bench differ by a third of another's, or by three times as much.
         """
-        # p(κ | y) ∝ p(y | κ)·N(ln κ; 0, 1), summed over ln κ in steps of its prior σ
+        # p(κ | y) ∝ p(y | κ)·N(ln κ; 0, 1), in steps of its prior σ; not beyond e: the evidence of linearised trials
+        # with loose constants is no measure of them (a motor that repeats to 2 % would have all of it at e³)
         logs, nats = np.arange(-3.0, 2.0), []
         for log in logs:
             self.session_sd[at] = np.exp(log) * np.sqrt(prior)
@@ -560,6 +563,10 @@ class _Fit:
             left = np.maximum(left - self.tau[:, None] * fitted, least_share * left) / POOLED
         self.model_error = np.maximum(squares / left, least)
         self._weigh()
+        self._identify()
+
+    def _identify(self) -> None:
+        """Store each trial's model at its mode, and linearise the trials there."""
         self.identified = [(self._constants(x), x[len(self.free):]) for x in self.at]
         self.linear = self._linearised(self.at)
 

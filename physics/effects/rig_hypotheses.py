@@ -86,6 +86,10 @@ def tension_hypotheses(load: float, speed: float, peak: float) -> dict[str, Hypo
         dry, per_load, _ = parts_of(values, "", load, speed)
         return -dry / max(dry + per_load * LOAD_N, 1e-9)
 
+    def turned_over(values: Values, bench: Values) -> float:
+        # the position turns the friction from −1 to 0 over travel·ln 2, and stretches the cable by lead·friction
+        return values["travel"] + PRESLIDING * values["lead"] * values["friction"]
+
     return {
         "cable_friction": Hypothesis(FRICTION, _variant(
             ({"friction": 1.0}, 0.7), ({"load_share": 1.0}, 0.2), ({"viscous_share": 1.0}, 0.2)), {
@@ -94,8 +98,7 @@ def tension_hypotheses(load: float, speed: float, peak: float) -> dict[str, Hypo
         "load_dependent_friction": Hypothesis(FRICTION, _share("", "load", 0.5), {"load_slope": slope}),
         "stribeck": Hypothesis(FRICTION, _variant(({"rest": 1.0}, 0.5), ({"rest_speed": 1.0}, 0.8)), {
             "stribeck_ratio": lambda v, b: 1.0 + v["rest"], "stribeck_speed": lambda v, b: v["rest_speed"]}),
-        "presliding": Hypothesis(FRICTION, _variant(({"travel": 1.0}, 1.0)), {
-            "presliding": lambda v, b: PRESLIDING * v["travel"]}),
+        "presliding": Hypothesis(FRICTION, _variant(({"travel": 1.0}, 1.0)), {"presliding": turned_over}),
         "friction_drift": Hypothesis(FRICTION, _variant(({"drift": 1.0}, 0.5)), {
             "friction_drift": lambda v, b: v["drift"]}),
         "start_gain": Hypothesis(SENSOR, _reads_more, {"start_gain": lambda v, b: v["ratio"] / b["ratio"]}),
@@ -142,7 +145,7 @@ def drive_hypotheses(load: float, speed: float, peak: float, turning: bool) -> d
             "drive_stribeck_ratio": lambda v, b: 1.0 + v["drive_rest"],
             "drive_stribeck_speed": lambda v, b: v["drive_rest_speed"]}),
         "drive_presliding": Hypothesis(DRIVE, _variant(({"drive_travel": 1.0}, 1.0)), {
-            "drive_presliding": lambda v, b: PRESLIDING * v["drive_travel"]}),
+            "drive_presliding": lambda v, b: v["drive_travel"]}),
         "demand_gain": one("demand_gain", 0.1, "demand_gain"),
     }
     if turning:
