@@ -167,7 +167,8 @@ class _Run:
             result = self._with(f"choice of {name}", each)
             if result is not None:
                 moved = self.bench.apart(result) - before
-                size = float(np.clip(-(before @ moved) / max(moved @ moved, 1e-12), 1.0 / MOST_SIZE, MOST_SIZE))
+                best = -float(before @ moved) / max(float(moved @ moved), 1e-12)
+                size = float(np.clip(best, 1.0 / MOST_SIZE, MOST_SIZE))
                 rated.append((float(np.linalg.norm(before + size * moved)), k, size))
         if not rated:
             raise EndedNightError("undone: the trials with an extension were stopped")
