@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -11,7 +11,7 @@ from diagnosis.compared_signals import Figures
 from diagnosis.evidence.decision import DOUBTED, SET_SHARE, departure
 from diagnosis.evidence.held_out import HeldOut, blocks_of
 from diagnosis.laws.law_result import Laws, Picture
-from diagnosis.laws.law_search import EXPLAINED, EXPLAINED_BY_PHASE, MOST_TERMS, WORSE, Candidate, LawSearch
+from diagnosis.laws.law_search import MOST_TERMS, WORSE, Candidate, LawSearch
 from estimation.data.table import Table
 from estimation.posterior import PosteriorMode, SessionData
 from estimation.reference_fit import ReferenceFit
@@ -41,8 +41,8 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     def figures(before: Array, after: Array) -> dict[str, Figures]:
         return HeldOut(observed, reference.missed(observed), before, after, blocks).figures(reference)
 
-    outside = departure(observed, at) > DOUBTED
-    while len(chosen) < MOST_TERMS and not (chosen and _small(_judged(observed, figures(session, residual)))):
+    outside, least = departure(observed, at) > DOUBTED, _least(reference, observed)
+    while len(chosen) < MOST_TERMS:
         offers = search.further(chosen, at)
         # the evidence is linear and of all cycles, so that held-out cycles decide between nearly equal candidates
         tried: list[tuple[bool, float, int, list[Candidate], PosteriorMode, Array]] = []
@@ -51,10 +51,11 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
             there = search.fitted(more)
             then = search.predicted(more, there)
             errors = figures(residual, then)
-            fault = _worse(errors) or _fault(_judged(observed, errors), more)
+            judged = {name: errors[name] for name in least}
+            fault = _worse(errors) or _fault(judged, least)
             back = not chosen and outside and departure(observed, there) <= DOUBTED and not _worse(errors)
             if not fault or back:
-                left = sum((f.rmse_after or 0.0) ** 2 / (f.floor or 1e-12) ** 2 for f in _judged(observed, errors))
+                left = sum((f.rmse_after or 0.0)**2 / least[name] for name, f in judged.items())
                 tried.append((bool(fault), -there.log_evidence if fault else left, len(tried), more, there, then))
         if not tried:
             break
@@ -66,37 +67,29 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
                 [_picture(search, chosen, at, k) for k in range(len(chosen))])
 
 
-def _judged(observed: SessionData, errors: dict[str, Figures]) -> list[Figures]:
-    return [errors[name] for name in observed.model.judged if name in errors]
-
-
-def _small(judged: Sequence[Figures]) -> bool:
-    """Return whether every judged signal's error is below that between reference trials, so that no term can gain it.
-    """
-    return all((f.rmse_after or 0.0) < (f.floor or 0.0) for f in judged)
-
-
 def _worse(errors: dict[str, Figures]) -> str:
     """Return a sentence on a signal whose error on held-out cycles grows by more than `WORSE` with a term, else ""."""
     return next((f"{name} is predicted worse on held-out cycles" for name, f in errors.items()
                  if (f.rmse_after or 0.0) > WORSE * (f.rmse_session or 0.0)), "")
 
 
-def _fault(judged: Sequence[Figures], terms: Sequence[Candidate]) -> str:
+def _fault(judged: Mapping[str, Figures], least: Mapping[str, float]) -> str:
     """Return why a term does not gain, by errors on held-out cycles without it (`session`) and with it; "" if it does.
 
-    A first term must explain a share `EXPLAINED` of a judged signal's error.  A further one must lower a squared error
-    by that between reference trials.
+    `least`: fall of the squared error that a term must reach in one judged signal, N².
     """
-    if all((f.low or 0.0) <= 0.0 for f in judged):
+    if all((f.low or 0.0) <= 0.0 for f in judged.values()):
         return "no gain on held-out cycles that whole cycles confirm"
-    gains = [((f.rmse_session or 0.0), (f.rmse_after or 0.0), f.floor or 0.0) for f in judged]
-    least = EXPLAINED_BY_PHASE if terms[0].modulation == "phase_bump" else EXPLAINED
-    if len(terms) > 1 and all(first**2 - last**2 < scatter**2 for first, last, scatter in gains):
-        return "a further term gains less than reference trials miss of each other"
-    if len(terms) == 1 and all(last > (1.0 - least) * first for first, last, _ in gains):
-        return f"the best term explains less than {100.0 * least:.0f} % of the error"
+    if all((f.rmse_session or 0.0)**2 - (f.rmse_after or 0.0)**2 < least[name] for name, f in judged.items()):
+        return f"the best term gains less than {DOUBTED:g} times the model error's variance"
     return ""
+
+
+def _least(reference: ReferenceFit, observed: SessionData) -> dict[str, float]:
+    """Return `DOUBTED` times the variance of the model error in the trial's motion by judged signal, N²."""
+    growth = float(np.mean(observed.growth))
+    return {name: DOUBTED * growth * float(np.mean(reference.model_error[reference.outputs.index(name)]))
+            for name in observed.model.judged if name in observed.outputs}
 
 
 def _picture(search: LawSearch, chosen: Sequence[Candidate], at: PosteriorMode, k: int) -> Picture:

@@ -39,13 +39,6 @@ FOLDS: Final = 5
 """Folds of cycles for held-out errors; each fold is predicted by a fit to the others."""
 WORSE: Final = 1.05
 """Largest held-out RMS error of an output with terms, relative to that with the session adapted."""
-EXPLAINED: Final = 0.25
-"""Least share of a judged signal's held-out RMS error that a law lowers.
-
-Trials in the reference condition reach 0.18: the discrepancy of a motion that no reference trial has is a law of
-motion, too.  Larger, it would hide small laws."""
-EXPLAINED_BY_PHASE: Final = 0.5
-"""Least share for a bump at a phase, which repeats as the discrepancy does; trials in that condition reach 0.34."""
 
 
 class Candidate(NamedTuple):
