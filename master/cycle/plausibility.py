@@ -286,7 +286,8 @@ def _stretch(s: Any, g: Any, middle: float, position: float, knee: float, start:
 @njit(inline="always")
 def _pays_out(s: Any, g: Any, position: float, knee: float, mean: float, most: float) -> None:
     """Compare a rope that pays out with how far it would have gone in for the tension gained since then."""
-    if s[FRESH] <= 1.0 or position > s[OUT_M] + FROZEN_M or abs(knee - s[OUT_KNEE]) > KNEE_RAD:
+    # ten steps of the encoder are no winding in; on the stiffest path they are 0.5 N
+    if s[FRESH] <= 1.0 or position > s[OUT_M] + 1e-5 or abs(knee - s[OUT_KNEE]) > KNEE_RAD:
         s[OUT_M], s[OUT_N], s[OUT_KNEE] = position, mean, knee
     s[OUT_M], s[OUT_N] = min(s[OUT_M], position), min(s[OUT_N], mean)
     room_n = RATIO_N + 0.05 * most + RATIO_N_S_M * s[SPEED]
