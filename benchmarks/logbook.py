@@ -129,8 +129,8 @@ TRIALS, PER_SESSION = 100_000, 10
 
 
 class Outcome(NamedTuple):
-    """What a logbook states of one bench: log Bayes factor of a change, nats, whether it is stated, its first session,
-    its effects and the part of the bench."""
+    """A logbook's answer on one bench: log Bayes factor of a change, nats, whether it is stated, its first session, its
+    effects and the part of the bench."""
 
     nats: float
     changed: bool
@@ -175,7 +175,7 @@ def main() -> None:
 
 def followed(folder: Path, kind: str, serial: int, healthy: int, sessions: int, names: Sequence[str]
              ) -> Iterator[tuple[str | None, Outcome]]:
-    """Yield what is stated of a bench without a change, by the session with the most evidence, and with each change."""
+    """Yield the answer on a bench without a change, after the session with the most evidence, and with each change."""
     with tempfile.TemporaryDirectory() as place:
         begun = Path(place) / "begun"
         database.create(begun, f"{kind} {serial}")

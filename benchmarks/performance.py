@@ -109,7 +109,7 @@ def simulated_cycles(turn: Turn) -> None:
 
 
 def stock(turn: Turn, *, threads: bool = True) -> None:
-    """Run canopen as its manual says: SYNC, four TPDOs, a frame of targets, a notifier's thread for each network.
+    """Run canopen by its manual: SYNC, four TPDOs, a frame of targets, a notifier's thread for each network.
 
     On python-can's `virtual` interface, without plant, control, log and bus time.  Without `threads` all devices are on
     one network, and one thread pumps both networks by hand.

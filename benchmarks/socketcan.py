@@ -222,7 +222,7 @@ def shown(rows: list[tuple[int, int]], rate_hz: int) -> dict[str, Any]:
 
 
 def _after(sync: np.ndarray[Any, Any], stamps: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Time from each SYNC but the last to the first such frame before the next one, ns; NaN where there is none."""
+    """Return the time from each SYNC but the last to the first such frame before the next one, ns; NaN without one."""
     place = np.searchsorted(stamps, sync[:-1])
     found = np.append(stamps, np.iinfo(np.int64).max)[place]
     return np.where(found < sync[1:], (found - sync[:-1]).astype(np.float64), np.nan)

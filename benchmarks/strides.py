@@ -52,7 +52,7 @@ BARS = (
 
 
 def number(value: float | None) -> str:
-    """Return a figure; "–" where there is none."""
+    """Return a figure as text; a missing one as "–"."""
     return frame.number(math.nan if value is None else value)
 
 

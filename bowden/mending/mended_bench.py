@@ -1,4 +1,4 @@
-"""Outcome of an unattended repair, and the page that tells its story."""
+"""Outcome of an unattended repair, and its page."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def write_page(result: MendedBench, path: Path) -> None:
 
 
 def _sentence(result: MendedBench) -> str:
-    """Return what was named and what became of it, in one sentence."""
+    """Return the named causes and the ending as text."""
     cause = ", ".join(name.replace("_", " ") for name in result.names) or "; ".join(result.equations)
     if not cause:
         return f"{result.ending[:1].upper()}{result.ending[1:]}."

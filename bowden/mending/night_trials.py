@@ -1,4 +1,4 @@
-"""Trials of an unattended repair, and END's error in them: what they cost, what stops them, what they are judged by.
+"""Trials of an unattended repair: their time, the reasons for which they end, and END's error in them.
 
 Only END as its sensor reads it decides, by its departure from the reference trial: what the sensor reads wrongly
 there, it reads wrongly here, too.
@@ -38,7 +38,7 @@ INTERRUPTED: Final = "interrupted"
 
 
 class EndedNightError(Exception):
-    """The run ends here; the text says why."""
+    """The run ends here; the text is the reason."""
 
 
 def end_error(trial: Trial, settle: int = 1) -> Floats:
@@ -81,7 +81,7 @@ class NightTrials:
         return result if result["outcome"] == "completed" else self.recorded(journal, f"{step} again", experiment)
 
     def recorded(self, journal: Journal, step: str, experiment: Experiment | PreparedTrial) -> dict[str, Any]:
-        """Return the journal's result of a trial, recorded now if there is none.
+        """Return the journal's result of a trial, recorded now unless the journal has it.
 
         Ends the run by time and at the second stopped trial.
         """

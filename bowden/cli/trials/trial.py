@@ -108,7 +108,7 @@ def _prepared(walk: WalkOptions, sections: dict[str, Any], chosen: BusSettings, 
 
 def _performed(prepared: PreparedTrial, network: Any, output: Path, picture: Path | None, web: str | None,
                bench: WatchedBench | None, chosen: BusSettings, *, overwrite: bool) -> dict[str, Any]:
-    """Run a trial with its live page and its watches; return its figures and, by path, what the watches found."""
+    """Run a trial with its live page and its watches; return its figures and, by path, the watches' findings."""
     from bowden.trials import session
 
     with (_watches(bench, output, network, chosen) as watches, _page(web, output.name, network) as page):
@@ -172,7 +172,7 @@ def _show_watch(path: str, told: dict[str, Any]) -> None:
 
 
 def _show_walk(walk: dict[str, Any]) -> None:
-    """Print the figures of strides that differ: what control did, and what the phase cost."""
+    """Print the figures of strides that differ: errors of the force and of the phase."""
     figure = terminal.number
     terminal.table(f"{walk['strides']} strides, {walk['assisted']} with force, {walk['interrupted']} interrupted, by "
                    f"{walk['judged_by']}", ("relative RMSE by stride (%)", "median", "95 %", "worst"), [
