@@ -199,30 +199,27 @@ class SessionSequence:
     def search(self) -> tuple[list[Change], Array]:
         """Return the changes, best first, one an effect, and the variance of each free constant between sessions.
 
-        Evidence: with the scatter that has the largest evidence of a change, against no change with the scatter of all
-        sessions.
+        Evidence of a change against that of no change, each with the scatter of constants and of the effect's size that
+        it supports best.
         """
         plain = self.scatter()
         if not self.begins.size:
             return [], plain
-        none = self._null(self.integrated(plain))
         best: dict[str, tuple[Change, Array]] = {}
+        without: dict[str, float] = {}
         offered = [self.published, plain]
         while offered:
             variance = offered.pop()
-            found = self._searched(self.integrated(variance), none)
-            for change in found:
+            found = self._searched(self.integrated(variance))
+            for change, null in found:
+                without[change.effect] = max(null, without.get(change.effect, -np.inf))
                 if change.effect not in best or change.nats > best[change.effect][0].nats:
                     best[change.effect] = change, variance
             if variance is plain or variance is self.published:
-                offered.insert(0, self.scatter(max(found, key=lambda change: change.nats)))
-        order = sorted(best.values(), key=lambda item: -item[0].nats)
+                offered.insert(0, self.scatter(max(found, key=lambda pair: pair[0].nats - pair[1])[0]))
+        against = [(change._replace(nats=change.nats - without[change.effect]), of) for change, of in best.values()]
+        order = sorted(against, key=lambda item: -item[0].nats)
         return [change for change, _ in order], order[0][1]
-
-    def _null(self, sessions: _IntegratedSessions) -> float:
-        """Return the log evidence of no change, nats."""
-        base = self._base(sessions)
-        return sessions.constant + _integral(base.precision, base.pull)
 
     def _base(self, sessions: _IntegratedSessions) -> _Base:
         """Return the information about (b, r) without a change, and its products with the effect columns."""
@@ -232,16 +229,18 @@ class SessionSequence:
                      sum(u.T @ pull for u, pull in zip(designs, sessions.pull, strict=True)),
                      np.stack([row[:, self.size:] for row in rows]))
 
-    def _searched(self, sessions: _IntegratedSessions, none: float) -> list[Change]:
-        """Return the best variant of each effect; `none`: log evidence of no change, nats."""
-        more = self._null(sessions) - none
+    def _searched(self, sessions: _IntegratedSessions) -> list[tuple[Change, float]]:
+        """Return the best variant of each effect with log evidence in place of the Bayes factor, and that of no change.
+        """
         base = self._base(sessions)
-        best: dict[str, Change] = {}
+        best: dict[str, tuple[Change, float]] = {}
         for part in self.columns:
-            change = self._evidence(sessions, base, part)
-            if part.effect not in best or change.nats > best[part.effect].nats:
-                best[part.effect] = change
-        return [change._replace(nats=change.nats + more) for change in best.values()]
+            change, null = self._evidence(sessions, base, part)
+            if part.effect in best:
+                null = max(null, best[part.effect][1])
+                change = max(change, best[part.effect][0], key=lambda one: one.nats)
+            best[part.effect] = change, null
+        return list(best.values())
 
     def _shares(self, part: EffectColumns) -> Sequence[float]:
         """Return the variances of an effect's size between sessions that are averaged, relative to `SURROGATE`².
@@ -255,10 +254,11 @@ class SessionSequence:
         along = {name for direction in part.variant.directions for name in direction.along}
         return (1.0, 4.0, 16.0, 64.0) if part.variant.at or not along <= followed else (0.0,)
 
-    def _evidence(self, sessions: _IntegratedSessions, base: _Base, part: EffectColumns) -> Change:
-        """Return the evidence of one variant, averaged over course and begin, with the likeliest of both.
+    def _evidence(self, sessions: _IntegratedSessions, base: _Base, part: EffectColumns) -> tuple[Change, float]:
+        """Return one variant with the log evidence, nats, of a change by it and of no change.
 
-        It is averaged over the scatters of its size between sessions, too, as far as the sessions support them.
+        Both are averaged over the scatters of its size between sessions; a change, over course and begin, too, of which
+        the likeliest are returned.
         """
         own = slice(self.size + part.at.start, self.size + part.at.stop)
         square, pull, between = sessions.square[:, own, own], sessions.pull[:, own], base.cross[:, :, part.at]
@@ -289,8 +289,8 @@ class SessionSequence:
             prior = -0.5 * self.scatter_sessions * (np.log(share) + 1.0 / share) if share else 0.0
             found.append((prior + null + _integral(before, first), 0.5 * np.einsum("wa,wa->w", g, sizes)
                           - 0.5 * np.linalg.slogdet(inner)[1], sizes, inner))
-        weight = np.array([of for of, *_ in found])
-        weighted = np.array([nats for _, nats, *_ in found]) + (weight - logsumexp(weight))[:, None]
+        none = sessions.constant - np.log(len(found)) + np.array([of for of, *_ in found])
+        weighted = none[:, None] + np.array([nats for _, nats, *_ in found])
         nats, at = logsumexp(weighted, axis=0), int(weighted.max(axis=0).argmax())
         _, _, sizes, inner = found[int(weighted[:, at].argmax())]
         total = float(logsumexp(nats))
@@ -300,7 +300,7 @@ class SessionSequence:
         begins = self.begins
         return Change(part.effect, total - float(np.log(nats.size)), COURSES[at // begins.size],
                       int(begins[at % begins.size]), int(begins[low]), int(begins[min(high, begins.size - 1)]),
-                      sizes[at], np.sqrt(np.diag(np.linalg.inv(inner[at]))), part)
+                      sizes[at], np.sqrt(np.diag(np.linalg.inv(inner[at]))), part), float(logsumexp(none))
 
     # -- constants ---------------------------------------------------------------------------------------------------
 
