@@ -407,14 +407,17 @@ def _courses(sequence: SessionSequence, variance: Array, change: Change | None) 
 
 def _forecast(sequence: SessionSequence, change: Change | None, courses: Mapping[str, ConstantCourse], name: str,
               limit: float) -> Forecast:
-    """Return when a constant that a ramp moves reaches a limit, if the ramp goes on."""
+    """Return when a constant that a ramp moves reaches a limit, if the ramp goes on.
+
+    The interval has the 95 % intervals of the departure and of the first session: slow paces began early.
+    """
     k = CONSTANTS.index(name)
     departure, sd = (np.zeros(len(FREE)),) * 2 if change is None else sequence.moved(change)
     if change is None or change.course != "ramp" or not departure[k]:
         return Forecast(name, limit, None, None, None)
     goal, now = (coordinates_of(_with(sequence, k, value))[FREE[k]] for value in (limit, courses[name].value[-1]))
     paces = (departure[k] + np.array([1.96, 0.0, -1.96]) * np.sign(departure[k]) * sd[k]) / (
-        sequence.count - change.since)
+        sequence.count - np.array([change.since_high, change.since, change.since_low]))
     high, middle, low = (float((goal - now) / pace) if (goal - now) * pace > 0.0 else None for pace in paces[::-1])
     return Forecast(name, limit, middle, low, high)
 
