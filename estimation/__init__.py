@@ -12,7 +12,8 @@ y: measured outputs of a trial, m: its measured motion.  Modules, lowest first:
     outputs, path_model    forward model of the bench
     rig_model              forward model of another rig
     posterior              modes and evidence of one trial
-    reference_fit          joint fit of the reference trials
+    reference_fit          reference condition of a bench: posterior, discrepancy, noise
+    joint_fit              joint fit of the reference trials
     population_reference   reference condition without reference trials
     stored_fit             reference posterior as bytes
     fitted_quantities      quantities that follow from a fit's constants, with their 1σ
@@ -24,5 +25,5 @@ y: measured outputs of a trial, m: its measured motion.  Modules, lowest first:
     rig_fit                constants of another rig
     bench_fit              the file of `bowden fit`
 
-Start reading in `forward_model`, `posterior` and `reference_fit`.
+Start reading in `forward_model`, `posterior` and `joint_fit`.
 """

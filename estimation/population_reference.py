@@ -19,10 +19,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from estimation.forward_model import ForwardModel
+from estimation.joint_fit import first_mode
 from estimation.likelihood_data import Recording
 from estimation.path_model import MODEL_ERROR_N
 from estimation.posterior import SURROGATE, Gaussian
-from estimation.reference_fit import FEATURES, ReferenceFit, first_mode, reach_of, scaling_of
+from estimation.reference_fit import FEATURES, ReferenceFit, reach_of, scaling_of
 from physics import bench_model
 from physics.bench_model import BenchModel
 from physics.forward.path_parameters import simulation_values

@@ -1,8 +1,7 @@
-"""Fit of the reference trials: bench constants, discrepancy and noise with their joint posterior.
+"""Reference condition of a bench: posterior of its constants and discrepancy, prior and noise of a further trial.
 
-The model is hierarchical: each trial departs from the bench by a session deviation, and one joint mode of bench and
-trials is fitted.  The discrepancy is a Gaussian process in random Fourier features.  Its inputs are states that the
-fitted model simulates under the trial's motion, not sensor readings.
+The discrepancy is a Gaussian process in random Fourier features.  Its inputs are states that the fitted model simulates
+under the trial's motion, not sensor readings.
 """
 
 from __future__ import annotations
@@ -13,34 +12,14 @@ from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
-from estimation.forward_model import ForwardModel, jacobian, predicted
+from estimation.forward_model import ForwardModel, predicted
 from estimation.likelihood_data import Recording
-from estimation.posterior import (
-    CLOSE,
-    HUBER,
-    LONGEST,
-    Gaussian,
-    PosteriorMode,
-    SessionData,
-    bounded,
-    descended,
-    loss,
-    mode,
-)
+from estimation.posterior import Gaussian, SessionData
 from physics.laws import Array
 
 FEATURES: Final = 60
 """Random Fourier features per output; 120 features give the same held-out likelihood of reference trials."""
-POOLED: Final = 2.0
-"""Factor from residual variance to model error of a rig, whose pooled sessions differ in more than its constants.
-
-With 1, repeats of a rubber seal are named `presliding`."""
-PRIOR_SESSIONS: Final = 3.0
-"""Weight of the model's prior 1σ between sessions, in equivalent sessions.
-
-Two sessions alone would determine the scatter badly."""
 
 
 @cache
@@ -170,7 +149,9 @@ class ReferenceFit:
         states = [self.model.simulated_states(self.origin, trial) for trial in trials]
         made = [features(self.model, s, self.scaling, self.outputs) for s in states]
         beyond = [0.0 if self.reach is None else self.reach.exceeded(self.model.motion(t)) for t in trials]
-        weight = np.concatenate([1.0 / variance(self, t, s) for t, s in zip(trials, states, strict=True)])
+        noise = NoiseModel(self.scaling.quarters, self.model_error, self.tau)
+        weight = np.concatenate([1.0 / noise.variance(self.model, self.origin, t, s)
+                                 for t, s in zip(trials, states, strict=True)])
         growth = np.concatenate([self._grown(t, excess) for t, excess in zip(trials, beyond, strict=True)])
         return SessionData(self.model, trials, np.concatenate(made), weight, self.tau, self.cost, growth, max(beyond))
 
@@ -195,13 +176,23 @@ class ReferenceFit:
         return np.repeat(faster * np.maximum(1.0, measured / np.maximum(expected, 1e-12)), trial.bins)
 
 
-def variance(of: ReferenceFit | _Fit, trial: Recording, states: Array) -> Array:
-    """Return the variance of each datum of a trial by model error, which grows with the signals, and noise."""
-    quarter, expected = np.searchsorted(of.scaling.quarters, states[of.model.load_state]), predicted(
-        of.model, of.origin, trial)
-    return np.concatenate([of.tau[k] * (
-        of.model.growth(trial, name, trial.part(expected, k)) * of.model_error[k][quarter] + trial.noise_n[name] ** 2
-        + of.model.unpredicted(of.origin, trial, name)) for k, name in enumerate(of.outputs)])
+class NoiseModel(NamedTuple):
+    """Noise of the data: `model_error` by output and quarter of the load, N², and its inflation `tau` by output.
+
+    `quarters`: quartiles of the load state.
+    """
+
+    quarters: Array
+    model_error: Array
+    tau: Array
+
+    def variance(self, model: ForwardModel, origin: Array, trial: Recording, states: Array) -> Array:
+        """Return the variance of each datum of a trial by model error, which grows with the signals, and noise."""
+        quarter, expected = np.searchsorted(self.quarters, states[model.load_state]), predicted(model, origin, trial)
+        return np.concatenate([self.tau[k] * (
+            model.growth(trial, name, trial.part(expected, k)) * self.model_error[k][quarter]
+            + trial.noise_n[name] ** 2 + model.unpredicted(origin, trial, name))
+            for k, name in enumerate(trial.outputs)])
 
 
 def features(model: ForwardModel, states: Array, scaling: Scaling, outputs: Sequence[str]) -> Array:
@@ -214,432 +205,3 @@ def features(model: ForwardModel, states: Array, scaling: Scaling, outputs: Sequ
         out[k * bins:(k + 1) * bins, k * FEATURES:(k + 1) * FEATURES] = np.cos(even.T @ lengths.T + phases) * np.sqrt(
             2.0 / FEATURES)
     return out
-
-
-def fit_reference(model: ForwardModel, trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None,
-                  close: float = CLOSE, shares: Sequence[float] = (1.0, 0.5, 0.25, 0.125)) -> ReferenceFit:
-    """Fit the reference trials of one bench, which all have the same outputs.
-
-    `session_sd`: 1σ between sessions by constant, in coordinates, from a logbook (None: the published one).  `close`:
-    decrease of the joint cost in one step and per trial below which the joint mode counts as reached.  `shares`: of the
-    RMS residual of constants alone, from which the amplitude of the discrepancy is taken.
-    """
-    return _Fit(model, trials, session_sd, close, shares).run()
-
-
-def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian, starts: int = 4) -> PosteriorMode:
-    """Return the best of the modes of one trial from several starts, without a discrepancy; `prior`: of constants.
-
-    A first descent with `HUBER` times the noise, in which few residuals are outliers, avoids local minima.  Half of the
-    starts, those with the smallest cost after it, are then descended with the noise itself.
-    """
-    free, none = list(model.constants.free), np.zeros((trial.data.size, 0))
-    weight = np.repeat([model.first_noise[n] ** -2 for n in trial.outputs], trial.bins)
-    even = np.ones(len(trial.outputs))
-    rough, fine = (SessionData(model, (trial,), none, w, even, 1.0, np.ones(w.size))
-                   for w in (weight / HUBER**2, weight))
-    begin = [(at - prior.origin)[free] for at in model.scanned(model.origin(trial), trial)[:starts]]
-    near = [mode(rough, prior, start=start).x for start in begin]
-    near.sort(key=lambda x: mode(fine, prior, start=x, descends=False).cost)
-    return min((mode(fine, prior, start=x) for x in near[:(starts + 1) // 2]), key=lambda m: m.cost)
-
-
-class _Linear(NamedTuple):
-    """A trial linearised at its mode: error e ≈ H·(departure from the origin) + noise, with design H and weights."""
-
-    design: Array
-    error: Array
-    weight: Array
-
-
-class _Fit:
-    """State of the reference fit: joint mode of bench and trials, linearised trials, model error, scaling.
-
-    `bench` and `at`: departure of the bench and of each trial from the origin, constants first, then feature weights.
-    """
-
-    bench: Array
-    at: list[Array]
-
-    def __init__(self, model: ForwardModel, trials: Sequence[Recording],
-                 session_sd: Mapping[str, float] | None, close: float, shares: Sequence[float]) -> None:
-        self.close, self.shares = close, shares
-        self.model, self.constants, self.free = model, model.constants, list(model.constants.free)
-        self.trials = trials
-        self.stated_sd = session_sd or {}
-        self.session_sd = self._stated(self.constants.session_sd)
-        self.bench_sd: Array = self.constants.bench_sd[self.free].copy()
-        for name, sd in model.surrogate_sd.items():
-            self.bench_sd[self.free.index(self.constants.index[name])] = sd
-        self.outputs = trials[0].outputs
-        self.reach = reach_of(model, trials)
-        self.origin = model.origin(trials[0])
-        fine = np.array([model.first_noise[name] for name in self.outputs])
-        self.amplitude = 0.5 * fine
-        self.model_error = np.repeat(fine[:, None] ** 2, 4, axis=1)
-        self.tau = np.ones(len(self.outputs))
-        self.scatter_n: dict[str, float] = {}
-        self.linear: list[_Linear] = []
-        self.contradicted = 0.0
-        self.identified: list[tuple[Array, Array]] = []
-
-    def run(self, stages: int = 3) -> ReferenceFit:
-        """Fit the first trial from several starts, then all trials jointly, and return the fit.
-
-        Estimates of noise and discrepancy alternate with descents to the joint mode, `stages` times.
-        """
-        wide = Gaussian(self.origin, np.zeros(len(self.free)), np.diag(self.bench_sd**2))
-        self._recentre(first_mode(self.model, self.trials[0], wide).q)
-        for stage in range(stages):
-            if stage == 1:
-                self._recentre(self._constants(self.bench))
-            self._descend()
-            self._noise()
-            self._amplitudes()
-            if len(self.trials) > 1:
-                self._scatter()
-        if len(self.trials) > 1 and not self.model.pools_sessions:
-            self._restart(wide)
-        return self._finished()
-
-    def _restart(self, wide: Gaussian, least: float = 3.0) -> None:
-        """Descend once more, from the last trial's own mode, and take the better minimum for all trials.
-
-        `least`: gain, nats, from which the restart contradicts the first minimum; 3 are odds of 20 to 1.
-        """
-        self._descend()
-        size, here, cost = len(self.free), (self.bench, self.at), self._cost(self.bench, self.at)
-        own = first_mode(self.model, self.trials[-1], wide).q[self.free] - self.origin[self.free]
-        self.bench = np.concatenate([own, self.bench[size:]])
-        self.at = [np.concatenate([own, x[size:]]) for x in self.at]
-        self._descend()
-        self.contradicted = 0.5 * (cost - self._cost(self.bench, self.at))
-        if self.contradicted < least:
-            self.contradicted, (self.bench, self.at) = 0.0, here
-            return
-        self._noise()
-        self._amplitudes()
-
-    def _finished(self) -> ReferenceFit:
-        """Descend with the last estimates of noise and discrepancy, and return the fit."""
-        self._descend()
-        self._identify()
-        self.scatter_n = self._missed()
-        bench = self._bounded()
-        # features stay those simulated at the origin: the states change by far less than the length scale
-        prior = Gaussian(bench.origin, bench.mean + self._lift(bench.mean),
-                         bench.covariance + np.diag(self._session()))
-        return ReferenceFit(self.model, self.outputs, self.origin, bench, prior, self.scaling, self.model_error,
-                            self.tau, self.scatter_n, self._mean_cost(), self.reach, tuple(self.identified),
-                            self.contradicted)
-
-    def _bounded(self) -> Gaussian:
-        """Return the bench at the joint mode, its covariance linearised where "positive" constants are above 0.
-
-        Near 0 the smooth maximum of such a constant is flat, so that the trials would seem not to bound it from above.
-        """
-        q = self._constants(self.bench)
-        # dv/dq where the constant acts over dv/dq at the mode, by which each column of H grows
-        ratio = self.constants.slope(self.constants.lifted(q)) / self.constants.slope(q)
-        scale = np.ones(self.bench.size)
-        scale[:len(self.free)] = ratio[self.free]
-        self.linear = [linear._replace(design=linear.design * scale) for linear in self.linear]
-        return replace(self._joint(range(len(self.trials)))[0], mean=self.bench)
-
-    def _lift(self, departure: Array) -> Array:
-        """Return the departure that lifts each "positive" constant to where its value follows its coordinate."""
-        q = self._constants(departure)
-        lift = np.zeros(departure.size)
-        lift[:len(self.free)] = (self.constants.lifted(q) - q)[self.free]
-        return lift
-
-    def _stated(self, published: Array) -> Array:
-        """Return 1σ between sessions by constant: from the logbook if it has the constant, else as published."""
-        sd = published.copy()
-        for name, stated in self.stated_sd.items():
-            sd[self.constants.index[name]] = stated
-        return sd
-
-    def _scatter(self) -> None:
-        """Estimate 1σ between sessions of the model's `scattered` constants, from the reference trials.
-
-        Their values are scaled by a common factor, then each by one step of expectation maximisation; the prior of
-        each σ² is inverse-gamma about its scaled value, with the weight of `PRIOR_SESSIONS` sessions.
-        """
-        count, names = len(self.trials), self.constants.names
-        rows = [k for k, i in enumerate(self.free) if names[i] in self.model.scattered]
-        at = [self.free[k] for k in rows]
-        prior = self._stated(self.model.session_at(self.origin))[at] ** 2
-        self.session_sd[at] = np.sqrt(prior * self._common_factor(at, prior))
-        deviation, left = np.sqrt(self._session()), np.zeros(len(rows))
-        for linear in self.linear:
-            design = linear.design * deviation
-            inner = np.linalg.inv(np.eye(deviation.size) + (design.T * linear.weight) @ design)
-            left += np.diag(inner)[rows] * (1.0 - 1.0 / count)
-        # E step: squared departure from the sessions' mean, since a narrow prior may hold the bench away from it, and
-        # the variance that the data leave of each; M step under the inverse-gamma prior
-        moved = np.var([x[rows] for x in self.at], axis=0) * count
-        known = self.session_sd[at] ** 2
-        self.session_sd[at] = np.sqrt((PRIOR_SESSIONS * known + moved + left * known) / (PRIOR_SESSIONS + count - 1.0))
-
-    def _common_factor(self, at: Sequence[int], prior: Array) -> float:
-        """Return the posterior mean of a common factor κ² on the variances `prior` of the constants `at`.
-
-        ln κ has the prior N(0, 1): the sessions of one bench differ by a third of another's, or by three times as much.
-        """
-        # p(κ | y) ∝ p(y | κ)·N(ln κ; 0, 1), in steps of its prior σ; not beyond e: the evidence of linearised trials
-        # with loose constants is no measure of them (a motor that repeats to 2 % would have all of it at e³)
-        logs, nats = np.arange(-3.0, 2.0), []
-        for log in logs:
-            self.session_sd[at] = np.exp(log) * np.sqrt(prior)
-            nats.append(self._joint(range(len(self.trials)))[1] - 0.5 * log**2)
-        share = np.exp(np.array(nats) - max(nats))
-        return float(share @ np.exp(2.0 * logs) / share.sum())
-
-    def _mean_cost(self) -> float:
-        """Return the mean cost per datum of the reference trials at their modes."""
-        costs = [self._trial_cost(k, self.bench, x) / np.count_nonzero(self.weight[k]) for k, x in enumerate(self.at)]
-        return float(np.mean(costs))
-
-    def _constants(self, x: Array) -> Array:
-        """Return the coordinates of all constants at a departure from the origin."""
-        q = self.origin.copy()
-        q[self.free] += x[:len(self.free)]
-        return np.asarray(q)
-
-    def _descend(self) -> None:
-        """Move to the joint mode of bench and trials."""
-        (self.bench, self.at), _, self.linear = descended(
-            (self.bench, self.at), lambda x: self._cost(*x), lambda x: self._linearised(x[1]), self._stepped,
-            self.close * len(self.trials))
-
-    def _stepped(self, x: tuple[Array, list[Array]], trials: Sequence[_Linear], damping: float
-                 ) -> tuple[Array, list[Array]]:
-        """Return bench and trials after a damped step on the linearised `trials`, at most `LONGEST` bench σ long.
-
-        `damping`: weight of the squared step, in bench σ and session σ, beside the cost.
-        """
-        bench, at = x
-        free, scale, deviation = len(self.free), np.sqrt(self._bench_variance()), np.sqrt(self._session())
-        square, pull = (1.0 + damping) * np.eye(scale.size), -bench / scale
-        pull[:free] += self._middle()
-        eliminated = []
-        for own_x, linear in zip(at, trials, strict=True):
-            weighed = linear.design.T * linear.weight
-            # each trial's own departure is eliminated (Schur complement), so that one system of the bench's size is
-            # solved
-            information, downhill = weighed @ linear.design, weighed @ (linear.error - linear.design @ own_x)
-            inner = cho_factor((1.0 + damping) * np.eye(scale.size) + deviation[:, None] * information * deviation)
-            side = deviation[:, None] * information * scale
-            own, across = cho_solve(inner, deviation * downhill - (own_x - bench) / deviation), cho_solve(inner, side)
-            square += scale[:, None] * information * scale - side.T @ across
-            pull += scale * downhill - side.T @ own
-            eliminated.append((own, across))
-        step = cho_solve(cho_factor(square), pull)
-        moves = [scale * step + deviation * (own - across @ step) for own, across in eliminated]
-        longest = max(float(np.abs(each[:free] / self.bench_sd).max()) for each in (scale * step, *moves))
-        share = min(1.0, LONGEST / longest)
-        return bench + share * scale * step, [own_x + share * each for own_x, each in zip(at, moves, strict=True)]
-
-    def _cost(self, bench: Array, at: Sequence[Array]) -> float:
-        """Return the joint cost of bench and trials: misfit, session deviations, prior of the bench."""
-        centre = self._middle()
-        own = bench / np.sqrt(self._bench_variance())
-        own[:len(self.free)] -= centre
-        total = float(own @ own)
-        return total + sum(self._trial_cost(k, bench, x) for k, x in enumerate(at))
-
-    def _middle(self) -> Array:
-        """Return the population's middle as a departure from the origin, in population σ; 0 for regressed constants."""
-        centre: Array = -self.origin[self.free] / self.bench_sd
-        for name in self.model.regressed:
-            centre[self.free.index(self.constants.index[name])] = 0.0
-        return centre
-
-    def _trial_cost(self, k: int, bench: Array, x: Array) -> float:
-        """Return the cost of one trial at departures `x`: misfit and session deviation from the bench."""
-        off = (x - bench) / np.sqrt(self._session())
-        return loss(self._residual(k, x), np.sqrt(self.weight[k])) + float(off @ off)
-
-    def _residual(self, k: int, x: Array) -> Array:
-        trial = self.trials[k]
-        told = predicted(self.model, self._constants(x), trial) + self.features[k] @ x[len(self.free):]
-        return np.asarray(trial.data - told)
-
-    def _linearised(self, at: Sequence[Array]) -> list[_Linear]:
-        """Return each trial, linearised at its departure in `at`."""
-        found = []
-        for x, trial, own, weight in zip(at, self.trials, self.features, self.weight, strict=True):
-            data, slopes = jacobian(self.model, self._constants(x), trial, self.free)
-            design, residual = np.concatenate([slopes, own], axis=1), trial.data - data - own @ x[len(self.free):]
-            found.append(_Linear(design, residual + design @ x, bounded(residual, weight)))
-        return found
-
-    def _recentre(self, q: Array) -> None:
-        """Set the origin to `q`, simulate the states of the discrepancy there, and reset bench and trials to it."""
-        self.states = [self.model.simulated_states(q, trial) for trial in self.trials]
-        self.scaling = scaling_of(self.model, self.states)
-        self.features = [features(self.model, s, self.scaling, self.outputs) for s in self.states]
-        self.origin = q
-        self.session_sd = self._stated(self.model.session_at(q))
-        self._set_amplitude([self.trials[0].data - predicted(self.model, q, self.trials[0])], self.trials[:1])
-        self.bench = np.zeros(len(self.free) + FEATURES * len(self.outputs))
-        self.at = [self.bench for _ in self.trials]
-        self._weigh()
-
-    def _weigh(self) -> None:
-        """Set the weight of each datum, by trial, from model error and noise."""
-        self.weight = [1.0 / variance(self, trial, states)
-                       for trial, states in zip(self.trials, self.states, strict=True)]
-
-    def _set_amplitude(self, rest: Sequence[Array], trials: Sequence[Recording]) -> None:
-        self.amplitude = np.array([
-            np.sqrt(np.mean([np.mean(t.part(r, k) ** 2) for r, t in zip(rest, trials, strict=True)]))
-            for k in range(len(self.outputs))])
-
-    def _bench_variance(self) -> Array:
-        return np.concatenate([self.bench_sd ** 2, np.repeat(self.amplitude**2, FEATURES)])
-
-    def _session(self) -> Array:
-        return np.concatenate([self.session_sd[self.free] ** 2,
-                               self.model.session_share**2 * np.repeat(self.amplitude**2, FEATURES)])
-
-    def _joint(self, which: Sequence[int]) -> tuple[Gaussian, float]:
-        """Return posterior of the bench, about `origin`, and log evidence, nats, of the linearised trials `which`.
-
-        The session deviation Σ of each trial is integrated out: information A(I + ΣA)⁻¹, A = HᵀWH.  The evidence lacks
-        terms that do not depend on the priors.
-        """
-        scale = np.sqrt(self._bench_variance())
-        deviation = np.sqrt(self._session()) / scale
-        size = scale.size
-        information, pull = np.eye(size), np.zeros(size)
-        pull[:len(self.free)] = self._middle()
-        evidence = -0.5 * float(pull @ pull)
-        for k in which:
-            linear = self.linear[k]
-            root = np.sqrt(linear.weight)
-            design = linear.design * scale * root[:, None]
-            # A(I + ΣA)⁻¹ in a symmetric form, with the root of Σ on both sides
-            square, error = design.T @ design, design.T @ (linear.error * root)
-            inner = cho_factor(np.eye(size) + deviation[:, None] * square * deviation)
-            side, across = deviation[:, None] * square, cho_solve(inner, deviation * error)
-            information += square - side.T @ cho_solve(inner, side)
-            pull += error - side.T @ across
-            evidence += 0.5 * float(deviation * error @ across) - float(np.log(np.diag(inner[0])).sum())
-        # ln p = ½ gᵀΛ⁻¹g − ½ ln det Λ of the bench, Λ the information; the axes keep Λ ≥ I despite rounding
-        lengths, axes = np.linalg.eigh(0.5 * (information + information.T))
-        lengths, pull = np.maximum(lengths, 1.0), axes.T @ pull  # the prior alone has 1
-        evidence += 0.5 * float((pull**2 / lengths - np.log(lengths)).sum())
-        covariance = (axes / lengths) @ axes.T * scale[:, None] * scale
-        return Gaussian(self.origin, scale * (axes @ (pull / lengths)), covariance), evidence
-
-    def _noise(self, least_share: float = 0.1) -> None:
-        """Estimate model error by load quarter and autocorrelation from the residuals at the modes.
-
-        A rig's reference trials may be few data, so its number of data is reduced by the degrees of freedom of the fit,
-        to a share `least_share` at least.
-        """
-        shape = (len(self.outputs), 4)
-        squares, counts, fitted, self.tau = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape[0])
-        for i, (trial, states) in enumerate(zip(self.trials, self.states, strict=True)):
-            residual = self._residual(i, self.at[i])
-            determined = self._determined(i) if self.model.pools_sessions else np.zeros(residual.size)
-            quarter = np.searchsorted(self.scaling.quarters, states[self.model.load_state])
-            for k, name in enumerate(self.outputs):
-                rest = trial.part(residual, k)
-                known = trial.noise_n[name] ** 2 + self.model.unpredicted(self.origin, trial, name)
-                counted = np.isfinite(known) & np.ones(rest.size, np.bool_)
-                self.tau[k] += autocorrelation(rest[counted]) / len(self.trials)
-                squared = np.minimum(rest**2, HUBER**2 * np.median(rest[counted] ** 2) + 1e-9) - known
-                for j in range(4):
-                    inside = counted & (quarter == j)
-                    squares[k, j] += float(squared[inside].sum())
-                    counts[k, j] += int(inside.sum())
-                    fitted[k, j] += float(trial.part(determined, k)[inside].sum())
-        least = np.array([[self.model.least[name] ** 2] for name in self.outputs])
-        left = np.maximum(counts, 1)
-        if self.model.pools_sessions:
-            left = np.maximum(left - self.tau[:, None] * fitted, least_share * left) / POOLED
-        self.model_error = np.maximum(squares / left, least)
-        self._weigh()
-        self._identify()
-
-    def _identify(self) -> None:
-        """Store each trial's model at its mode, and linearise the trials there."""
-        self.identified = [(self._constants(x), x[len(self.free):]) for x in self.at]
-        self.linear = self._linearised(self.at)
-
-    def _determined(self, k: int) -> Array:
-        """Return by how much each datum of trial `k` determines its own prediction: diagonal of H(HᵀWH + P⁻¹)⁻¹HᵀW."""
-        linear = self.linear[k]
-        scale = np.sqrt(self._bench_variance() + self._session())
-        design = linear.design * scale * np.sqrt(linear.weight)[:, None]
-        # diagonal of the hat matrix
-        inner = np.eye(scale.size) + design.T @ design
-        return np.asarray((design * np.linalg.solve(inner, design.T).T).sum(axis=1))
-
-    def _amplitudes(self) -> None:
-        """Estimate the amplitude of the discrepancy by output: one of `shares` of the RMS residual of constants alone.
-
-        The share has the largest evidence: a residual that no state explains is noise.  Larger shares, which the
-        evidence of START and END often prefers, would let the discrepancy take up effects.
-        """
-        rest = []
-        for linear in self.linear:
-            part = linear.design[:, :len(self.free)]
-            root = np.sqrt(linear.weight)
-            scale = self.bench_sd
-            design = part * scale * root[:, None]
-            at = np.linalg.solve(np.eye(len(self.free)) + design.T @ design, design.T @ (linear.error * root))
-            rest.append(linear.error - part @ (scale * at))
-        self._set_amplitude(rest, self.trials)
-        every = range(len(self.trials))
-        for k, most in enumerate(self.amplitude.copy()):
-            told = []
-            for share in self.shares:
-                self.amplitude[k] = share * most
-                told.append(self._joint(every)[1])
-            self.amplitude[k] = self.shares[int(np.argmax(told))] * most
-
-    def _missed(self) -> dict[str, float]:
-        """Return the RMS error by output, N, of the other trials' averaged models on each reference trial.
-
-        A single reference trial is predicted by its own model.
-        """
-        squares: dict[str, list[float]] = {name: [] for name in self.outputs}
-        for j, trial in enumerate(self.trials):
-            models = self._others(j)
-            rest = np.mean([trial.data - predicted(self.model, q, trial) - self.features[j] @ c
-                            for q, c in models], axis=0)
-            for name, error in self.model.errors(trial, np.asarray(rest)).items():
-                counted = np.isfinite(self.model.unpredicted(self.origin, trial, name) + np.zeros(error.size))
-                squares[name].append(float(np.mean(error[counted] ** 2)))
-        return {name: float(np.sqrt(np.mean(each))) for name, each in squares.items()}
-
-    def _others(self, j: int) -> list[tuple[Array, Array]]:
-        """Return the models that predict reference trial `j`: those of the other trials, else its own.
-
-        If sessions are pooled, the model is the bench fitted to the other trials.
-        """
-        others = [k for k in range(len(self.trials)) if k != j] or [j]
-        if not self.model.pools_sessions:
-            return [self.identified[k] for k in others]
-        mean = self._joint(others)[0].mean
-        return [(self._constants(mean), mean[len(self.free):])]
-
-
-def autocorrelation(rest: Array, most: float = 12.0) -> float:
-    """Return 1 + 2·Σ of the autocorrelations of a residual, summed up to the first lag with less than 0.05.
-
-    It is at most `most`: a residual that hardly changes is no noise.
-    """
-    even = rest - rest.mean()
-    power = float(np.mean(even**2))
-    total = 1.0
-    for lag in range(1, 40):
-        share = float(np.mean(even[:-lag] * even[lag:])) / power if power > 0.0 else 0.0
-        if share < 0.05:
-            break
-        total += 2.0 * share
-    return min(total, most)

@@ -14,7 +14,8 @@ import numpy as np
 
 from estimation.data.table import Table
 from estimation.fitted_quantities import quantities
-from estimation.reference_fit import ReferenceFit, fit_reference
+from estimation.joint_fit import fit_reference
+from estimation.reference_fit import ReferenceFit
 from estimation.rig_model import RigModel, rig_model_of
 from parameters import InputError
 from physics.laws import Array

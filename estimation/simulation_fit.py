@@ -16,9 +16,10 @@ from scipy.optimize import least_squares
 from estimation import simulation
 from estimation.data.table import Table
 from estimation.fitted_quantities import FittedQuantity, quantities
+from estimation.joint_fit import fit_reference
 from estimation.likelihood_data import LOWPASS_HZ
 from estimation.path_model import PATH_MODEL
-from estimation.reference_fit import ReferenceFit, fit_reference
+from estimation.reference_fit import ReferenceFit
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
 from physics.forward.path_constants import INDEX, SESSION_SD

@@ -7,11 +7,11 @@ from typing import Final
 
 from threadpoolctl import threadpool_limits
 
+from estimation.joint_fit import fit_reference
 from estimation.likelihood_data import Recording
 from estimation.linear_sums import effect_columns, session_sums
 from estimation.path_model import PATH_MODEL, usable_table
 from estimation.posterior import CLOSE
-from estimation.reference_fit import fit_reference
 from estimation.stored_fit import decoded, encoded
 from logbook.bench_state import CONSTANTS
 from logbook.database import UNFITTED, Logbook, ReferenceModel

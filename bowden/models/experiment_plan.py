@@ -23,9 +23,9 @@ from diagnosis.evidence.identical_motion import REPEAT, paired
 from diagnosis.evidence.session_change import feature_sd
 from estimation.data import table as data
 from estimation.data.table import Table
+from estimation.joint_fit import fit_reference
 from estimation.likelihood_data import MOTION
 from estimation.path_model import PATH_MODEL, usable_table
-from estimation.reference_fit import fit_reference
 from logbook.database import open_logbook
 from parameters import InputError, read_toml
 from physics.effects.catalogue import CATALOGUE

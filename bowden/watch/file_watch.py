@@ -18,9 +18,9 @@ from diagnosis.finder import Finder
 from diagnosis.findings import Findings
 from estimation.data import table
 from estimation.data.table import Table
+from estimation.joint_fit import fit_reference
 from estimation.likelihood_data import SIGNALS, PathRecording
 from estimation.path_model import PATH_MODEL, usable_table
-from estimation.reference_fit import fit_reference
 from estimation.running_evidence import MOTION_COLUMNS, Naming, RunningEvidence, WatchVerdict
 from parameters import InputError
 from physics.effects.hypotheses import HYPOTHESES

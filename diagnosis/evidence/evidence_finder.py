@@ -19,12 +19,13 @@ from diagnosis.evidence.session_change import feature_sd
 from diagnosis.findings import Findings
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel, predicted
+from estimation.joint_fit import fit_reference
 from estimation.likelihood_data import Recording
 from estimation.own_effects_model import with_own_effects
 from estimation.path_model import PATH_MODEL
 from estimation.population_reference import reference_of_population
 from estimation.posterior import SURROGATE, PosteriorMode, SessionData, begun, mode, named_change
-from estimation.reference_fit import ReferenceFit, fit_reference
+from estimation.reference_fit import ReferenceFit
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import FRICTION, Read, Variant

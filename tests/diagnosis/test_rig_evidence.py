@@ -10,8 +10,9 @@ import pytest
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.findings import Findings
 from estimation.data.table import Table, table
+from estimation.joint_fit import fit_reference
 from estimation.path_model import can_be_of_bench
-from estimation.reference_fit import ReferenceFit, fit_reference
+from estimation.reference_fit import ReferenceFit
 from estimation.rig_model import RigModel
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE

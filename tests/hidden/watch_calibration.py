@@ -23,9 +23,9 @@ from threadpoolctl import threadpool_limits
 
 from bowden.watch.file_watch import DRIFT_S, NAMING, GaitWindows
 from diagnosis.finder import diagnose
+from estimation.joint_fit import fit_reference
 from estimation.likelihood_data import SIGNALS, PathRecording
 from estimation.path_model import PATH_MODEL
-from estimation.reference_fit import fit_reference
 from estimation.running_evidence import RunningEvidence, WatchVerdict
 from tests.hidden.evidence_calibration import hidden_jobs, reference_jobs
 from tests.hidden.family import Case, Job, case
