@@ -1,7 +1,8 @@
 """A sweep: rows that are not in the table yet are run by an executor, and entered as soon as they are done.
 
-`run_all` uses `concurrent.futures.Executor` only, whether processes of this machine or a Dask cluster run the jobs:
-trials of a sweep, or diagnoses of recorded trials, each by itself.
+Interface: `workers_of` opens an executor (`concurrent.futures.Executor`: processes of this machine, or a Dask cluster);
+`run_all` gives it jobs, which may end their process, and knows nothing of where they run.  Jobs are trials of a sweep
+(`sweep`, `into_table`), or diagnoses of recorded trials, each by itself (`diagnose_each`).
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import importlib
 import itertools
 import os
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
@@ -36,25 +36,36 @@ ENDED = "the process that ran it ended by itself: out of memory, or a plug-in th
 """Reason of a row that ended its process when it ran alone."""
 
 
-class Workers(NamedTuple):
-    """Executor of the trials, and how many trials it runs at a time.
-
-    `renewed` returns another executor after a process of the first one ended; None if it recovers by itself. `killed`
-    are the exceptions with which such an executor gives up a job whose processes ended.
-    """
-
-    executor: Executor
-    at_once: int
-    renewed: Callable[[], Executor] | None = None
-    killed: tuple[type[BaseException], ...] = ()
-
-
 class Job(NamedTuple):
     """A call that a worker makes, and the key that its result is reported with."""
 
     key: Any
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
+
+
+@dataclass
+class Workers:
+    """Executor of jobs, and how many jobs it runs at a time.
+
+    `renewed` returns another executor in place of one that lost a process; None if it recovers by itself. `lost` are
+    the exceptions of a job whose process ended.
+    """
+
+    executor: Executor
+    at_once: int
+    renewed: Callable[[], Executor] | None = None
+    lost: tuple[type[BaseException], ...] = (BrokenExecutor,)
+
+    def submit(self, job: Job) -> Future[Any]:
+        """Hand a job to the executor, or to another one if it lost a process."""
+        try:
+            return self.executor.submit(job.function, *job.arguments)
+        except BrokenExecutor:
+            if self.renewed is None:
+                raise
+            self.executor = self.renewed()
+            return self.executor.submit(job.function, *job.arguments)
 
 
 @contextmanager
@@ -103,57 +114,40 @@ def cluster(address: str) -> Iterator[Workers]:
         if not count:
             raise InputError(f"--scheduler {address}: has no workers; start some.")
         killed = importlib.import_module("distributed.scheduler").KilledWorker
-        yield Workers(client.get_executor(pure=False), count, killed=(killed,))
+        yield Workers(client.get_executor(pure=False), count, lost=(killed,))
 
 
 def run_all(jobs: Iterable[Job], workers: Workers, finished: Callable[[Any, Any], None]) -> None:
     """Run jobs, little more than one a worker at a time; `finished` receives the key and the result of each.
 
-    A process that ends breaks every job under way: they run again, one at a time, and the result of the one that is
-    alone when it happens again is the `BrokenExecutor`.  On `KeyboardInterrupt` running jobs are finished before it is
-    raised again.
+    A process that ends loses every job under way: they run again last, each alone. The result of a job that is lost
+    alone is a `BrokenExecutor`. On `KeyboardInterrupt` running jobs are finished before it is raised again.
     """
-    waiting, again, executor = iter(jobs), deque[Job](), workers.executor
+    for lost in _run(jobs, workers, workers.at_once + 1, finished):
+        if _run([lost], workers, 1, finished):
+            finished(lost.key, BrokenExecutor())
+
+
+def _run(jobs: Iterable[Job], workers: Workers, most: int, finished: Callable[[Any, Any], None]) -> list[Job]:
+    """Run jobs, at most `most` at a time; return those that were under way when a process ended."""
+    waiting, lost = iter(jobs), list[Job]()
     under_way: dict[Future[Any], Job] = {}
-    alone: Job | None = None
     try:
         while True:
-            room = max(0, workers.at_once + 1 - len(under_way)) if not again else not under_way
-            if again and room:
-                alone = again[0]
-            for job in [again.popleft()] if again and room else [] if again else itertools.islice(waiting, room):
-                under_way[executor.submit(job.function, *job.arguments)] = job
+            for job in itertools.islice(waiting, most - len(under_way)):
+                under_way[workers.submit(job)] = job
             if not under_way:
-                return
+                return lost
             for future in wait(under_way, return_when=FIRST_COMPLETED).done:
-                broken = [*under_way.values()]
-                done = under_way.pop(future, None)
-                if done is None:  # a broken process has put it back
-                    continue
-                try:
-                    result = future.result()
-                except workers.killed as error:  # Dask suspects every job of a worker that ended
-                    if done is not alone:
-                        again.append(done)
-                        continue
-                    result = BrokenExecutor(str(error))
-                except BrokenExecutor as error:
-                    under_way.clear()
-                    if workers.renewed is None:
-                        raise InputError(f"the sweep stopped: {ENDED}; the same command goes on from the rows that are "
-                                         "done.") from None
-                    executor = workers.renewed()
-                    if len(broken) > 1:
-                        again.extend(broken)
-                        continue
-                    result = error
-                finished(done.key, result)
+                job = under_way.pop(future)
+                if isinstance(future.exception(), workers.lost):
+                    lost.append(job)
+                else:
+                    finished(job.key, future.result())
     except KeyboardInterrupt:
-        for future in [future for future in under_way if future.cancel()]:
-            del under_way[future]
-        for future in wait(under_way).done:
-            if not isinstance(future.exception(), (BrokenExecutor, *workers.killed)):
-                finished(under_way[future].key, future.result())
+        for future, job in [item for item in under_way.items() if not item[0].cancel()]:
+            if not isinstance(future.exception(), workers.lost):
+                finished(job.key, future.result())
         raise
 
 

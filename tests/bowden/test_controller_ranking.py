@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import bowden as library
-from bowden.sweep import sweep_table
+from bowden.sweep import summary
 
 Run = Callable[..., Any]
 
@@ -25,7 +25,7 @@ def row(controller: str, error: float | None, stopped: str = "") -> dict[str, st
 def test_the_best_comes_first_and_one_that_stopped_behind_all_that_did_not() -> None:
     rows = [row("paper", 2.0), row("mine", 0.2), row("paper", 3.0), row("mine", None, "START beyond its limit"),
             row("extended", 0.7), row("extended", 0.5), row("never", None, "no"), row("never", None, "no")]
-    found = sweep_table.ranked(rows)
+    found = summary.ranked(rows)
     assert [one.controller for one in found] == ["extended", "paper", "mine", "never"]
     assert found[0].error_percent == pytest.approx(0.6)
     assert (found[1].least, found[1].worst) == (2.0, 3.0)
@@ -71,5 +71,5 @@ def test_a_real_sweep_is_ranked(tmp_path: Path) -> None:
     made = library.sweep.over({"controller": ["none", "extended"], "period": [1.1], "cycles": [1], "settle": [0]},
                               tmp_path / "table.csv", workers=1)
     assert len(made) == 2
-    found = sweep_table.ranked(sweep_table.ranked_rows(tmp_path / "table.csv"))
+    found = summary.ranked(summary.ranked_rows(tmp_path / "table.csv"))
     assert [one.controller for one in found] == ["extended", "none"]

@@ -15,7 +15,7 @@ import pytest
 import trial
 from bowden.bench import configuration
 from bowden.sweep import rows as sweep_rows
-from bowden.sweep import run, sweep_table
+from bowden.sweep import run, summary
 from bowden.sweep.sweep_table import SweepTable
 from parameters import InputError
 
@@ -92,7 +92,7 @@ def test_a_sweep_varies_them_and_a_trial_that_raises_ends_its_row(own: Path) -> 
     made = list(csv.DictReader(io.StringIO((own / "t.csv").read_text())))
     assert [row["outcome"] for row in made] == ["completed", "stopped", "completed", "stopped", "completed"]
     assert "KeyError" in made[1]["stop_reason"]
-    ranked = sweep_table.ranked(sweep_table.ranked_rows(own / "t.csv"))
+    ranked = summary.ranked(summary.ranked_rows(own / "t.csv"))
     assert {one.controller for one in ranked} == {(row["gait.tuning"] and f"own.py:Own {row['gait.tuning']}") or "none"
                                                   for row in made}
     with pytest.raises(InputError, match=r"controller\.ki: no controller of this sweep declares"):

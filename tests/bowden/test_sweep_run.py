@@ -17,7 +17,7 @@ import pytest
 from bowden.bench import configuration
 from bowden.cli.trials import sweep as sweep_command
 from bowden.sweep import rows as sweep_rows
-from bowden.sweep import run
+from bowden.sweep import run, summary
 from bowden.sweep.row_trial import FIGURES
 from bowden.sweep.sweep_table import SweepTable
 from parameters import InputError
@@ -180,7 +180,7 @@ def test_each_cell_of_the_grid_has_a_line_with_why_its_trials_stopped() -> None:
              for name, serial, outcome, reason, percent in (
                  ("paper", 1, "completed", "", "4.0"), ("paper", 2, "completed", "", "6.0"),
                  ("none", 1, "completed", "", "20.0"), ("none", 2, "stopped", "START above 100 N", ""))]
-    cells = sweep_command._cells(found, ["gait.controller", "bench.serial"])
+    cells = summary.cells(found, ["gait.controller", "bench.serial"])
     assert cells == [
         {"cell": {"gait.controller": "paper"}, "trials": 2, "completed": 2, "stopped": {},
          "median": {"relative_rmse_percent": 5.0}},

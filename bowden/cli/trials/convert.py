@@ -161,16 +161,16 @@ def compare(
 
 def _rank_controllers(table: Path, other: Path | None, picture: Path | None, *, overwrite: bool) -> CommandAnswer:
     """Return the controllers of a sweep, the best first; status 1 where trials of one did not complete."""
-    from bowden.sweep import sweep_table
+    from bowden.sweep import summary
 
     if other is not None:
         raise InputError(f"--controllers ranks those of one table; leave {other} out.")
     output_files.refuse([picture], overwrite=overwrite, inputs=[table])
     output_files.refuse_picture(picture)
-    rows = sweep_table.ranked_rows(table)
-    found = sweep_table.ranked(rows)
+    rows = summary.ranked_rows(table)
+    found = summary.ranked(rows)
     if picture is not None:
-        sweep_table.draw_ranking(rows, picture)
+        summary.draw_ranking(rows, picture)
 
     def words() -> None:
         number = terminal.number

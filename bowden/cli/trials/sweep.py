@@ -1,8 +1,5 @@
 """`bowden sweep`: many trials of simulated benches, one table."""
 
-import math
-import statistics
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -43,6 +40,7 @@ def sweep(
     from bowden.bench import configuration
     from bowden.sweep import rows as sweep_rows
     from bowden.sweep import run as sweep_run
+    from bowden.sweep import summary
     from bowden.sweep.sweep_table import SweepTable
     from bowden.trials import provenance
 
@@ -70,68 +68,31 @@ def sweep(
         except KeyboardInterrupt:
             terminal.remark(f"{table.growing}: keeps the trials that are done; the same command goes on from there.")
             raise
-    cells = _cells(found, [name for name, _ in axes])
-    failed = sum(row["outcome"] != "completed" for row in found)
-    figures = _summary(found)
+    cells = summary.cells(found, [name for name, _ in axes])
+    failed = len(found) - summary.completed(found)
+    figures = summary.spreads(found)
 
     def words() -> None:
         if figures:
             terminal.table("over the trials that completed", ("figure", "median", "least", "greatest", "in row"), [
-                (FIGURES[name], *(terminal.number(one[key]) for key in ("median", "least", "greatest")),
-                 str(one["worst_row"])) for name, one in figures.items()])
+                (summary.FIGURES[name], *map(terminal.number, (one.median, one.least, one.greatest)),
+                 str(one.worst_row)) for name, one in figures.items()])
         _tell_cells(cells)
         print(f"{output}: {len(rows)} trials, {resumed} of them from before, {failed} not completed.")
 
     return CommandAnswer({"table": str(output), "trials": len(rows), "resumed": resumed, "not_completed": failed,
-                          "figures": figures, "cells": cells}, words, 1 if failed else 0)
+                          "figures": {name: one._asdict() for name, one in figures.items()}, "cells": cells},
+                         words, 1 if failed else 0)
 
 
-FIGURES = {
-    "true_relative_rmse_percent": "relative RMSE, true END (%)", "relative_rmse_percent": "relative RMSE, END (%)",
-    "true_max_idle_tension_n": "largest true END at idle (N)", "true_peak_jump_n": "jump of true END at the peak (N)",
-    "missed_cycles": "missed cycles",
-}
-
-
-def _summary(found: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Of each figure over the trials that completed: median, least, greatest, and the number of the worst row."""
-    told = {}
-    for name in FIGURES:
-        values = {number: float(row[name]) for number, row in enumerate(found, start=1)
-                  if row.get("outcome") == "completed" and row.get(name) not in (None, "")}
-        values = {number: value for number, value in values.items() if math.isfinite(value)}
-        if values:
-            worst = max(values, key=lambda number: values[number])
-            told[name] = {"trials": len(values), "median": statistics.median(values.values()),
-                          "least": min(values.values()), "greatest": values[worst], "worst_row": worst}
-    return told
-
-
-REPEATED = ("bench.serial", "bench.day", "bench.seed")
-"""Axes over which a cell of the grid is repeated: other benches, sessions and noise."""
 MOST_CELLS = 200
-
-
-def _cells(found: Sequence[Mapping[str, Any]], axes: Sequence[str]) -> list[dict[str, Any]]:
-    """Return a row for each cell of the grid: its values, trials, medians of the figures, and reasons of stops."""
-    names = [name for name in axes if name not in REPEATED and len({str(row.get(name)) for row in found}) > 1]
-    gathered: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
-    for row in found:
-        gathered.setdefault(tuple(str(row.get(name, "")) for name in names), []).append(row)
-    cells = []
-    for values, rows in gathered.items() if names else ():
-        done = [row for row in rows if row.get("outcome") == "completed"]
-        reasons = Counter(str(row.get("stop_reason") or row.get("outcome") or "not run") for row in rows
-                          if row.get("outcome") != "completed")
-        figures = {name: statistics.median(known) for name in FIGURES
-                   if (known := [float(row[name]) for row in done if row.get(name) not in (None, "")])}
-        cells.append({"cell": dict(zip(names, values, strict=True)), "trials": len(rows), "completed": len(done),
-                      "median": figures, "stopped": dict(reasons)})
-    return cells
+"""Cells of the grid that the terminal shows at the most."""
 
 
 def _tell_cells(cells: Sequence[Mapping[str, Any]]) -> None:
     """Print a line for each cell of the grid, and below it why its trials stopped."""
+    from bowden.sweep.summary import FIGURES
+
     if len(cells) < 2:
         return
     told = [name for name in FIGURES if any(name in cell["median"] for cell in cells)][:3]
