@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from trial.report.page import Page, Series, Tile, number
+from trial.report.page import Page, Tile, number
+from trial.report.plot import Plot, Series
 
 
 @dataclass(frozen=True)
@@ -73,9 +74,9 @@ def write_page(result: MendedBench, path: Path) -> None:
             Tile(number(float(np.mean(result.after)), 3), "%", "END with it", "error, of the peak"),
             Tile(number(result.gain, 3), "points", "gain", f"95 %: {number(low, 3)} … {number(high, 3)}")])
         pairs = np.arange(1.0, len(result.before) + 1.0)
-        page.plot("END's error by pair of trials", pairs, [
+        page.plot(Plot("END's error by pair of trials", pairs, [
             Series("without", result.before, "#d97706", points=True),
-            Series("with", result.after, "#2563eb", points=True)], "pair", "%")
+            Series("with", result.after, "#2563eb", points=True)], "pair", "%"))
     page.section("Steps")
     page.table(["step", "what happened"], [(line["step"], _words(line["result"])) for line in result.steps[1:]])
     page.section("Files")

@@ -16,8 +16,8 @@ from typing import Any, Final
 from diagnosis.findings import Findings
 from diagnosis.report import figure_tables, residual_picture
 from diagnosis.report.headline import headline, healthy_value
-from diagnosis.report.plots import AFTER, BEFORE, MEASURED
 from parameters import InputError
+from trial.report.plot import Plot, picture, save
 
 RELATION_COLUMNS: Final = ("signal", "unit", "floor", "rmse_before", "rmse_session", "rmse_after", "gain_percent",
                            "gain_low_percent", "gain_high_percent", "holdout_before", "holdout_session",
@@ -45,7 +45,7 @@ def write(found: Findings, folder: str | Path, *, overwrite: bool = False) -> li
              one["unit"], c["gain_percent"]) for c in found.causes for name, one in c["parameters"].items()]),
         "detection_limit.csv": _csv([name.replace(" ", "_") for name in figure_tables.LIMIT_COLUMNS],
                                     figure_tables.limit_rows(found))}
-    made |= _residual(residual_picture.residual(found)) | _loop(residual_picture.loops(found.traces))
+    made |= _residual(found) | _loop(found)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, content in made.items():
@@ -82,48 +82,29 @@ def _columns(columns: Mapping[str, Any]) -> bytes:
     return _csv(list(columns), [[float(value) for value in row] for row in zip(*columns.values(), strict=True)])
 
 
-def _residual(one: residual_picture.MeanResidual | None) -> dict[str, bytes]:
+def _residual(found: Findings) -> dict[str, bytes]:
+    one = residual_picture.residual(found)
     if one is None:
         return {}
-    along = one.axis.split(" (")[0]
-    unit = one.unit
-    told = {along: one.centres, f"mean_before_{unit}": one.before[0], f"rms_before_{unit}": one.before[1],
-            f"mean_after_{unit}": one.after[0], f"rms_after_{unit}": one.after[1]}
-    figure, axes = _axes(f"{one.relation}: measured less simulated", one.axis, f"residual ({unit})")
-    for label, (mean, square), colour in (("before", one.before, BEFORE), ("after", one.after, AFTER)):
-        axes.fill_between(one.centres, -square, square, color=colour, alpha=0.2, linewidth=0)
-        axes.plot(one.centres, mean, color=colour, label=f"{label}: mean, band ± RMS")
-    return {"residual.csv": _columns(told), "residual.png": _png(figure, axes)}
+    along, unit = one.axis.split(" (")[0], one.unit
+    columns = {along: one.centres, f"mean_before_{unit}": one.before[0], f"rms_before_{unit}": one.before[1],
+               f"mean_after_{unit}": one.after[0], f"rms_after_{unit}": one.after[1]}
+    return {"residual.csv": _columns(columns),
+            "residual.png": _png(residual_picture.residual_plot(one, named=bool(found.causes)))}
 
 
-def _loop(branches: Sequence[residual_picture.ForceLoop]) -> dict[str, bytes]:
-    if not branches:
+def _loop(found: Findings) -> dict[str, bytes]:
+    plot, branches = residual_picture.loop_plot(found), residual_picture.loops(found.traces)
+    if plot is None or not branches:
         return {}
-    figure, axes = _axes("START over END", "END (N)", "START (N)")
-    told: dict[str, Any] = {"end_n": branches[0].end_n}
+    columns = {"end_n": branches[0].end_n}
     for one in branches:
-        style = "-" if one.direction == "tension rising" else "--"
-        for which, values, colour, width in (("measured", one.measured, MEASURED, 4.0),
-                                             ("before", one.before, BEFORE, 1.2), ("after", one.after, AFTER, 1.2)):
-            told[f"start_{which}_{one.direction.replace(' ', '_')}_n"] = values
-            axes.plot(one.end_n, values, style, color=colour, linewidth=width, label=f"{which}, {one.direction}")
-    return {"loop.csv": _columns(told), "loop.png": _png(figure, axes)}
+        for model, values in (("measured", one.measured), ("before", one.before), ("after", one.after)):
+            columns[f"start_{model}_{one.direction.replace(' ', '_')}_n"] = values
+    return {"loop.csv": _columns(columns), "loop.png": _png(plot)}
 
 
-def _axes(title: str, x: str, y: str) -> tuple[Any, Any]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.set(title=title, xlabel=x, ylabel=y)
-    axes.grid(visible=True, alpha=0.3)
-    return figure, axes
-
-
-def _png(figure: Any, axes: Any) -> bytes:
-    axes.legend(fontsize="small")
+def _png(plot: Plot) -> bytes:
     content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=160, metadata={"Software": None})
+    save(picture([plot], (7.0, 4.2)), content, dpi=160)
     return content.getvalue()

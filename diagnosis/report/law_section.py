@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from diagnosis.laws.law_result import Laws
+from diagnosis.laws.law_result import Laws, Picture
 from diagnosis.report.headline import law_sentences
 from diagnosis.report.plots import AFTER, BEFORE
-from trial.report.page import NamedText, Page, Series
+from trial.report.page import NamedText, Page
+from trial.report.plot import Plot, Series
 from trial.report.words import display_unit, words
 
 AXES: Final[Mapping[str, tuple[str, str]]] = {
@@ -27,10 +28,14 @@ def section(page: Page, laws: Laws) -> None:
             (NamedText(words(name), name), f.unit, f.rmse_before, f.rmse_session, f.rmse_after, f.gain_percent, f.low,
              f.high) for name, f in laws.errors.items()])
     for picture in laws.pictures:
-        axis, si = AXES[picture.variable]
-        unit, factor = display_unit(si)
-        at, residual, law = picture.means()
-        page.plot(f"{words(picture.output)}: residual over {axis}", factor * at, [
-            Series("measured less model without the term", residual, BEFORE, width=2.2, tip=picture.output),
-            Series("the term", law, AFTER, width=2.2, tip=picture.output)], f"{axis} ({unit})", picture.unit,
-            height=280)
+        page.plot(term_plot(picture))
+
+
+def term_plot(picture: Picture) -> Plot:
+    """Return the mean residual without a term, and the term, over the variable that it depends on."""
+    axis, si = AXES[picture.variable]
+    unit, factor = display_unit(si)
+    at, residual, term = picture.means()
+    return Plot(f"{words(picture.output)}: residual over {axis}", factor * at, [
+        Series("measured less model without the term", residual, BEFORE, width=2.2, tip=picture.output),
+        Series("the term", term, AFTER, width=2.2, tip=picture.output)], f"{axis} ({unit})", picture.unit, height=280)

@@ -12,7 +12,8 @@ import numpy as np
 
 from diagnosis.compared_signals import SignalResiduals
 from diagnosis.report.residuals import binned, bins_of, by_direction, joined, rms
-from trial.report.page import Page, Series, broken
+from trial.report.page import Page, broken
+from trial.report.plot import Plot, Series
 from trial.report.words import display_unit, words
 
 BEFORE, ADAPTED, AFTER, MEASURED = "#c2410c", "#15803d", "#2563eb", "#6b7280"
@@ -61,7 +62,7 @@ def _drawn(page: Page, title: str, one: SignalResiduals, shown: np.ndarray[Any, 
     drawn = [Series("measured", lines[0], MEASURED, width=2.2, tip=one.output),
              Series("reference condition", lines[1], BEFORE, width=1.0, dash=named, tip=one.output),
              Series("with what is named", lines[2], AFTER, width=1.0, tip=one.output)]
-    page.plot(title, time, drawn if named else drawn[:2], "time (s)", one.unit, linked=linked, height=220)
+    page.plot(Plot(title, time, drawn if named else drawn[:2], "time (s)", one.unit, linked=linked, height=220))
 
 
 def residuals(
@@ -88,8 +89,8 @@ def residuals(
                     word, si = "angle", "rad"
                 shown, factor = display_unit(si)
                 centres = factor * binned(along, before, bins_of(along.size))[0]
-                page.plot(f"{words(name)} by {word}", centres, _banded(along, before, after, named),
-                          f"{word} ({shown})", unit, linked=f"{signal} bins", height=190)
+                page.plot(Plot(f"{words(name)} by {word}", centres, _banded(along, before, after, named),
+                          f"{word} ({shown})", unit, linked=f"{signal} bins", height=190))
         _loops(page, name, parts, named)
 
 
@@ -132,5 +133,5 @@ def _loops(page: Page, name: str, parts: Sequence[SignalResiduals], named: bool)
             mean = binned(load[masks[word]], residual[masks[word]], bins, span)[1]
             series.append(Series(f"{word}, {label}", mean, colour, dash=dash))
     centres = binned(load, before, bins)[0]
-    page.plot(f"{words(name)} by START and direction", centres, series, "START (N)", parts[0].unit,
-              linked="tension_start_n bins", height=190)
+    page.plot(Plot(f"{words(name)} by START and direction", centres, series, "START (N)", parts[0].unit,
+              linked="tension_start_n bins", height=190))

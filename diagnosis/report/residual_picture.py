@@ -16,8 +16,8 @@ from diagnosis.findings import Findings
 from diagnosis.report.headline import strongest
 from diagnosis.report.plots import ADAPTED, AFTER, BEFORE, MEASURED
 from diagnosis.report.residuals import binned, bins_of, joined
-from trial.report.loop import Loop, picture
-from trial.report.page import Page, Series
+from trial.report.page import Page
+from trial.report.plot import Plot, Series
 from trial.report.words import display_unit, words
 
 Array = NDArray[np.float64]
@@ -63,36 +63,49 @@ def section(page: Page, found: Findings, turning: bool = False) -> None:
     page.heading(f"Where the simulation misses most: {words(one.relation)} over {one.word}")
     page.text("Measured less simulated. Thick line: mean in each bin. Band: its root mean square either side of zero.",
               "note")
+    page.plot(residual_plot(one, named=bool(found.causes)))
+
+
+def residual_plot(one: MeanResidual, *, named: bool) -> Plot:
+    """Return the plot of a residual, before and, if an effect is `named`, after."""
     series = []
     sides = ((REFERENCE, one.before, BEFORE), (NAMED, one.after, AFTER))
-    for label, (mean, square), colour in sides if found.causes else sides[:1]:
+    for label, (mean, square), colour in sides if named else sides[:1]:
         series += [Series(label, -square, colour, high=square, width=0.3, tip=one.relation),
                    Series(label, mean, colour, width=2.2, tip=one.relation)]
-    page.plot(f"{words(one.relation)}: measured less simulated", one.centres, series, one.axis, one.unit, height=280)
+    return Plot(f"{words(one.relation)}: measured less simulated", one.centres, series, one.axis, one.unit, height=280)
 
 
 def loop_section(page: Page, found: Findings, turning: bool = False) -> None:
-    """Add the loop of the first compared force: START over END, else the force over the position."""
+    """Add the loop of the first compared force, if there is one."""
+    plot = loop_plot(found, turning)
+    if plot is None:
+        return
+    page.heading(f"The loop: {plot.title}")
+    walked = any(_walks(parts) for parts in found.traces.values() if parts)
+    page.text("Friction opens the loop, a gain turns it, an offset shifts it."
+              + (" The mean gait cycle." if walked else ""), "note")
+    page.plot(plot)
+
+
+def loop_plot(found: Findings, turning: bool = False) -> Plot | None:
+    """Return the loop of the first compared force: START over END, else the force over the position."""
     name = next((name for name in FORCES if found.traces.get(name)), next(iter(found.traces), None))
     parts = [] if name is None else found.traces[name]
     if name is None or not parts:
-        return
+        return None
     over = "tension_end_n" if name == "tension_start_n" and np.isfinite(parts[0].along("tension_end_n")).all() \
         else "servo_position_m"
     x, *lines = _cycle(parts, over)
     if not np.isfinite(x).any() or float(np.ptp(x[np.isfinite(x)])) <= 0.0:
-        return
-    unit = "N" if over == "tension_end_n" else "rad" if turning else "m"
-    shown, factor = display_unit(unit)
+        return None
+    shown, factor = display_unit("N" if over == "tension_end_n" else "rad" if turning else "m")
     across, up = ("position" if turning else words(over)), words(name)
     sides = (("measured", MEASURED, 4.5), (REFERENCE, BEFORE, 1.8), (SESSION, ADAPTED, 1.8), (NAMED, AFTER, 1.8))
-    page.heading(f"The loop: {up} over {across}")
-    page.text("Friction opens the loop, a gain turns it, an offset shifts it."
-              + (" The mean gait cycle." if _walks(parts) else ""), "note")
-    page.drawing(f"{up} over {across}", picture(
-        [Loop(label, factor * x, line, colour, width) for (label, colour, width), line in zip(
-            sides if found.causes else sides[:3], lines, strict=False)],
-        f"{across} ({shown})", f"{up} ({parts[0].unit})", f"{up} over {across}"))
+    series = [Series(label, line, colour, width=width) for (label, colour, width), line in zip(
+        sides if found.causes else sides[:3], lines, strict=False)]
+    return Plot(f"{up} over {across}", factor * x, series, f"{across} ({shown})", f"{up} ({parts[0].unit})",
+                height=440, loop=True)
 
 
 def _walks(parts: Sequence[SignalResiduals]) -> bool:

@@ -16,7 +16,8 @@ from physics.laws import Array
 from trial import metrics, read
 from trial.read import Trial
 from trial.report.overview import setting
-from trial.report.page import Page, Series
+from trial.report.page import Page
+from trial.report.plot import Plot, Series
 
 FIGURES: Final = (
     ("relative_rmse_percent", "relative RMSE, whole cycles", "%"),
@@ -58,8 +59,8 @@ def _error(page: Page, trials: list[Trial], colours: tuple[str, str]) -> None:
         centres, mean, spread = _by_phase(trial)
         series += [Series(label, mean - spread, colour, high=mean + spread, width=0.3),
                    Series(label, mean, colour, width=1.8)]
-    page.plot("END less desired, by phase: mean and standard deviation over the gait cycles",
-              centres, series, "gait_percent (%)", "N", height=260)
+    page.plot(Plot("END less desired, by phase: mean and standard deviation over the gait cycles",
+              centres, series, "gait_percent (%)", "N", height=260))
 
 
 def _by_phase(trial: Trial) -> tuple[Array, Array, Array]:

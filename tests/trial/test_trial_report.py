@@ -18,7 +18,8 @@ from parameters import InputError
 from trial import metrics
 from trial.read import Event
 from trial.report import overview, trial_page, words
-from trial.report.page import Page, Series
+from trial.report.page import Page
+from trial.report.plot import Plot, Series
 
 RATE_HZ = 200
 PERIOD_S = 2.0
@@ -273,9 +274,9 @@ def array(text: str, number: int) -> Any:
 def test_a_plot_refuses_what_it_cannot_draw() -> None:
     page = Page("a")
     with pytest.raises(ValueError, match="must not fall"):
-        page.plot("a", [1, 0], [Series("a", [1, 2], "#000000")], "x", "y")
+        page.plot(Plot("a", [1, 0], [Series("a", [1, 2], "#000000")], "x", "y"))
     with pytest.raises(ValueError, match="2 values of x"):
-        page.plot("a", [0, 1], [Series("a", [1, 2, 3], "#000000")], "x", "y")
+        page.plot(Plot("a", [0, 1], [Series("a", [1, 2, 3], "#000000")], "x", "y"))
 
 
 def test_a_report_is_kept_unless_told_and_its_place_must_exist(tmp_path: Path) -> None:

@@ -132,14 +132,11 @@
 
   function draw(plot, host) {
     const found = plot.group, { data, series, bands } = columns(plot);
-    const axis = { stroke: SOFT, font: FONT, labelFont: FONT, labelSize: 20, grid: { stroke: GRID, width: 1 },
-      ticks: { stroke: GRID, width: 1 } };
-    const values = (chart, ticks) => ticks.map(tick => shown(tick));
     const read = legend(plot, host.previousElementSibling);
     const options = {
       width: host.clientWidth, height: plot.height, series, bands, legend: { show: false },
       scales: { x: { time: false }, y: { range } },
-      axes: [{ ...axis, label: plot.x_label, values, size: 34, incrs: whole(data[0]) }, { ...axis, label: plot.y_label, values, size: 60 }],
+      axes: axes(plot, whole(data[0])),
       cursor: {
         drag: { x: true, y: false, dist: 4 },
         points: { size: 6 },
@@ -161,11 +158,43 @@
     new ResizeObserver(() => plot.chart.setSize({ width: host.clientWidth, height: plot.height })).observe(host);
   }
 
-  for (const plot of page.plots) plot.group = group(plot);
+  // A loop, such as force over position: its points joined in their order, both axes zoomed by dragging.
+  function drawLoop(plot, host) {
+    const facets = [{ scale: "x", auto: true }, { scale: "y", auto: true }];
+    const paths = (chart, place) => uPlot.orient(chart, place, (series, xs, ys, scaleX, scaleY, toX, toY, left, top, wide, high) => {
+      const stroke = new Path2D();
+      let pen = "moveTo";
+      for (let at = 0; at < xs.length; at++) {
+        const unknown = xs[at] == null || ys[at] == null;
+        if (!unknown) stroke[pen](toX(xs[at], scaleX, wide, left), toY(ys[at], scaleY, high, top));
+        pen = unknown ? "moveTo" : "lineTo";
+      }
+      return { stroke, fill: null, clip: null, band: null, gaps: null, flags: 0 };
+    });
+    plot.series.forEach((line, place) => { line.places = [place + 1]; });
+    legend(plot, host.previousElementSibling);
+    const lines = plot.series.map(line => ({ label: line.label, stroke: line.colour, width: line.width,
+      dash: line.dash ? [6, 4] : undefined, points: { show: false }, facets, paths }));
+    plot.chart = new uPlot({
+      mode: 2, width: host.clientWidth, height: plot.height, series: [{}, ...lines], legend: { show: false },
+      scales: { x: { time: false, range }, y: { range } }, axes: axes(plot),
+      cursor: { drag: { x: true, y: true, dist: 4 }, points: { show: false } },
+    }, [null, ...plot.series.map(line => [array(plot.x), array(line.y)])], host);
+    new ResizeObserver(() => plot.chart.setSize({ width: host.clientWidth, height: plot.height })).observe(host);
+  }
+
+  function axes(plot, incrs) {
+    const axis = { stroke: SOFT, font: FONT, labelFont: FONT, labelSize: 20, grid: { stroke: GRID, width: 1 },
+      ticks: { stroke: GRID, width: 1 } };
+    const values = (chart, ticks) => ticks.map(tick => shown(tick));
+    return [{ ...axis, label: plot.x_label, values, size: 34, incrs }, { ...axis, label: plot.y_label, values, size: 60 }];
+  }
+
+  for (const plot of page.plots) if (!plot.loop) plot.group = group(plot);
   for (const { full } of groups.values()) if (full[0] === full[1]) { full[0] -= 0.5; full[1] += 0.5; }
   const whole = x => x.every(Number.isInteger) ? [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000] : undefined;
   const range = (chart, min, max) => min === max ? [min - 0.5, max + 0.5] : uPlot.rangeNum(min, max, 0.1, true);
-  for (const plot of page.plots) draw(plot, document.getElementById(plot.id));
+  for (const plot of page.plots) (plot.loop ? drawLoop : draw)(plot, document.getElementById(plot.id));
   document.documentElement.dataset.drawn = String(page.plots.length);
   globalThis.bowden = { groups, move, page };
 })();

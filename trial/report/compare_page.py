@@ -12,7 +12,8 @@ from trial import metrics
 from trial.compare import FieldDifference, TrialComparison, aligned
 from trial.read import Trial
 from trial.report.overview import BINS, known, setting
-from trial.report.page import Cell, Page, Series, Tile, broken, number, thinned
+from trial.report.page import Cell, Page, Tile, broken, number, thinned
+from trial.report.plot import Plot, Series
 from trial.report.sections import FORCE, MOTION
 from trial.report.trial_page import FIGURES, NEEDED
 
@@ -95,10 +96,10 @@ def _plot(page: Page, a: Trial, b: Trial, name: str, unit: str) -> None:
     along, values = broken(along, values, 2.5 * float(np.median(np.diff(along))))
     along, values = thinned(along, values, BINS)
     linked = "along"
-    page.plot(name, along, [Series("A", values[0], A), Series("B", values[1], B, dash=True)], x_label, unit,
-              linked=linked)
-    page.plot(f"{name}, A − B", along, [Series("A − B", values[2], "#30363f")], x_label, unit, linked=linked,
-              height=150)
+    page.plot(Plot(name, along, [Series("A", values[0], A), Series("B", values[1], B, dash=True)], x_label, unit,
+              linked=linked))
+    page.plot(Plot(f"{name}, A − B", along, [Series("A − B", values[2], "#30363f")], x_label, unit, linked=linked,
+              height=150))
 
 
 def _attached(page: Page, found: TrialComparison) -> None:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from parameters.files import write_whole
+from trial.report.plot import Plot, Series
 
 Floats = NDArray[np.float64]
 Number = TypeVar("Number", bound=np.generic)
@@ -93,24 +94,6 @@ Cell = str | int | float | None
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
 ROWS_SHOWN = 5000
 UNKNOWN = "–"
-
-
-class Series(NamedTuple):
-    """A line: `values` along the plot's x, NaN where unknown; with `high` the band between the two, filled.
-
-    Series of one label share a legend entry; `tip` is its tooltip, such as the column's name.  `steps` holds each value
-    to the next; `points` draws no line.
-    """
-
-    label: str
-    values: ArrayLike
-    colour: str
-    high: ArrayLike | None = None
-    width: float = 1.3
-    dash: bool = False
-    steps: bool = False
-    points: bool = False
-    tip: str = ""
 
 
 class NamedText(str):
@@ -193,31 +176,28 @@ class Page:
         """Add a file's text, collapsed under its name."""
         self._add(f"<details><summary>{_text(name)}</summary><pre>{_text(text)}</pre></details>")
 
-    def plot(
-        self, title: str, x: ArrayLike, series: Sequence[Series], x_label: str, y_label: str, *,
-        linked: str | None = None, marks: Sequence[float] = (), height: int = 240,
-    ) -> None:
-        """Add a plot of `series` along `x`, which must not fall.  Plots with the same `linked` zoom together.
+    def plot(self, plot: Plot) -> None:
+        """Add a plot.  Drag zooms, a double click shows all.
 
-        Drag zooms, a double click shows all.  `marks` are places on x with a dashed line; `height` is in CSS pixels.
-        ValueError where x falls or is unknown somewhere, or a series has another length.
+        ValueError where x is unknown somewhere or falls (but in a loop), or a series has another length.
         """
-        along, drawn = _floats(x), [one for one in series if np.isfinite(_floats(one.values)).any()]
-        if not np.isfinite(along).all() or (np.diff(along) < 0).any():
-            raise ValueError(f"plot {title!r}: x must be known and must not fall")
-        lengths = {len(_floats(one)) for each in series for one in (each.values, each.high) if one is not None}
+        along, drawn = _floats(plot.x), [one for one in plot.series if np.isfinite(_floats(one.values)).any()]
+        if not plot.loop and (not np.isfinite(along).all() or (np.diff(along) < 0).any()):
+            raise ValueError(f"plot {plot.title!r}: x must be known and must not fall")
+        lengths = {len(_floats(one)) for each in plot.series for one in (each.values, each.high) if one is not None}
         if lengths - {len(along)}:
-            raise ValueError(f"plot {title!r}: {len(along)} values of x, but series of {sorted(lengths)}")
+            raise ValueError(f"plot {plot.title!r}: {len(along)} values of x, but series of {sorted(lengths)}")
+        title = _text(plot.title)
         if not drawn:
-            self._add(f'<figure><figcaption>{_text(title)}</figcaption><div class="plot empty">Nothing was recorded '
+            self._add(f'<figure><figcaption>{title}</figcaption><div class="plot empty">Nothing was recorded '
                       "for this plot.</div></figure>")
             return
         number = f"plot-{len(self._plots)}"
-        self._plots.append({
-            "id": number, "x": self._pool.abscissa(along), "x_label": x_label, "y_label": y_label, "height": height,
-            "linked": linked, "marks": [float(mark) for mark in marks], "series": [self._packed(one) for one in drawn]})
-        self._add(f'<figure><figcaption>{_text(title)}</figcaption><div class="legend"></div>'
-                  f'<div class="plot" id="{number}" role="img" aria-label="{_text(title)}"></div></figure>')
+        x = self._pool.ordinate(along) if plot.loop else self._pool.abscissa(along)
+        self._plots.append({**plot._asdict(), "id": number, "x": x, "marks": [float(mark) for mark in plot.marks],
+                            "series": [self._packed(one) for one in drawn]})
+        self._add(f'<figure><figcaption>{title}</figcaption><div class="legend"></div>'
+                  f'<div class="plot" id="{number}" role="img" aria-label="{title}"></div></figure>')
 
     def drawing(self, title: str, svg: str) -> None:
         """Add a picture as an SVG element, whose texts the caller has escaped."""
@@ -225,7 +205,7 @@ class Page:
 
     def _packed(self, one: Series) -> dict[str, Any]:
         high = None if one.high is None else self._pool.ordinate(_floats(one.high))
-        style = {name: value for name, value in one._asdict().items() if name != "values"}
+        style = {name: value for name, value in one._asdict().items() if name not in ("values", "x")}
         return style | {"y": self._pool.ordinate(_floats(one.values)), "high": high}
 
     def _add(self, html: str) -> None:

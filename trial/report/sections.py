@@ -30,7 +30,8 @@ from trial.report.overview import (
     known,
     seconds,
 )
-from trial.report.page import Cell, Page, Series
+from trial.report.page import Cell, Page
+from trial.report.plot import Plot, Series
 from trial.report.words import display_unit, words
 from trial.signals import PDO_NAMES, UNITS
 
@@ -81,7 +82,7 @@ def over_time(
              for name, column in zip(columns, values, strict=False)]
     if band is not None:
         lines.insert(0, Series(band.label, values[-2], band.colour, high=values[-1], width=0.3))
-    page.plot(title, along, lines, "time (s)", shown, linked=TIME, marks=marks, height=height)
+    page.plot(Plot(title, along, lines, "time (s)", shown, linked=TIME, marks=marks, height=height))
 
 
 def _words(name: str) -> str:
@@ -164,9 +165,9 @@ def _by_cycle(page: Page, cycles: GaitCycles, setting: TrialSetting) -> None:
     found = [cycles.errors[one].relative_rms(setting.peak_n or 1.0) if one in cycles.errors else None
              for one in numbers.tolist()]
     figures = np.array([np.nan if one is None else one for one in found])
-    page.plot(f"Relative RMSE by gait cycle; the figures count from cycle {setting.settle}", numbers,
+    page.plot(Plot(f"Relative RMSE by gait cycle; the figures count from cycle {setting.settle}", numbers,
               [Series("relative RMSE", figures, COLOURS["tension_end_n"], points=True)], "cycle", "% of the peak",
-              height=170)
+              height=170))
 
 
 def _cycles_drawn(cycles: GaitCycles) -> str:
@@ -188,7 +189,7 @@ def _against_phase(page: Page, cycles: GaitCycles, title: str, names: Sequence[s
             series.append(Series(_words(name), low, colour, high=high, width=0.3, tip=name))
             lines = [lines[0], *([cycles.worst_lines[name]] if name in cycles.worst_lines else []), cycles.last[name]]
         series += [Series(_words(name), line, colour, dash=name in DASHED, width=1.0, tip=name) for line in lines]
-    page.plot(title, cycles.percent, series, "gait phase (%)", "N", linked="gait_percent", height=320)
+    page.plot(Plot(title, cycles.percent, series, "gait phase (%)", "N", linked="gait_percent", height=320))
 
 
 FrameBits = Callable[[NDArray[np.void]], NDArray[np.int64]]
@@ -292,7 +293,7 @@ def load(page: Page, trial: TrialFile, frame_bits: FrameBits, bound_percent: flo
     speed = "" if bitrate is None else f" at {bitrate / 1000:g} kbit/s"
     page.text(f"{counted} frames{speed}; bits as sent, with stuffing and interframe space. Error frames are not "
               "counted.", "note")
-    page.plot("Load over 100 ms", along, [total, *series, *bound], f"{TIME} (s)", unit, linked=TIME)
+    page.plot(Plot("Load over 100 ms", along, [total, *series, *bound], f"{TIME} (s)", unit, linked=TIME))
 
 
 def _added(one: Floats, other: Floats) -> Floats:
