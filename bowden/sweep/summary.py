@@ -27,7 +27,7 @@ REPEATED: Final = ("bench.serial", "bench.day", "bench.seed")
 CONTROLLER, TUNING = "gait.controller", "gait.tuning"
 
 
-class Spread(NamedTuple):
+class FigureRange(NamedTuple):
     """Median, least and greatest value of a figure over `trials` trials; `worst_row`: row of the greatest, from 1."""
 
     trials: int
@@ -55,14 +55,14 @@ def known(rows: Rows, figure: str) -> dict[int, float]:
     return {number: value for number, value in values.items() if math.isfinite(value)}
 
 
-def spreads(rows: Rows) -> dict[str, Spread]:
+def spreads(rows: Rows) -> dict[str, FigureRange]:
     """Return the spread of each of `FIGURES` that some trial has."""
     found = {}
     for figure in FIGURES:
         values = known(rows, figure)
         if values:
             worst = max(values, key=lambda number: values[number])
-            found[figure] = Spread(len(values), statistics.median(values.values()), min(values.values()),
+            found[figure] = FigureRange(len(values), statistics.median(values.values()), min(values.values()),
                                    values[worst], worst)
     return found
 
