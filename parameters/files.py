@@ -7,6 +7,7 @@ beside its target, under a random name, and then renamed.
 from __future__ import annotations
 
 import gzip
+import io
 import os
 import stat
 import tempfile
@@ -14,6 +15,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from parameters.declared import InputError
 
@@ -83,11 +85,49 @@ def most_unpacked(size: int) -> int:
     return max(UNPACKED_FLOOR, UNPACKED_RATIO * size)
 
 
-def refuse_long_lines(path: Path, raw: bytes, limit: int = LONGEST_LINE) -> None:
+class BoundedFile(io.RawIOBase):
+    """A CAN log read as a stream, unpacked if its name ends in .gz, within bounds.
+
+    Reading raises `InputError` beyond the largest unpacked size and, of `lines`, where one is longer than any that
+    somebody wrote.
+    """
+
+    def __init__(self, path: Path, *, lines: bool) -> None:
+        self._file = path.open("rb")
+        self._source = gzip.GzipFile(fileobj=self._file) if path.suffix.lower() == ".gz" else self._file
+        self._path, self._size, self._lines = path, path.stat().st_size, lines
+        self._read = self._line = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, room: Any) -> int:
+        data = self._source.read(len(room))
+        room[:len(data)] = data
+        self._read += len(data)
+        end = data.rfind(b"\n")
+        self._line = self._line + len(data) if end < 0 else len(data) - end
+        if self._read > most_unpacked(self._size):
+            raise InputError(f"{self._path}: unpacks to more than {most_unpacked(self._size)} bytes; it is no measured "
+                             "log, do not open it.")
+        if self._lines and self._line > LONGEST_LINE:
+            raise InputError(f"{self._path}: a line is longer than {LONGEST_LINE} bytes; it is no log.")
+        return len(data)
+
+    def share(self) -> float:
+        """Return the share of the file that has been read, 0 … 1."""
+        return min(1.0, self._file.tell() / max(1, self._size))
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
+
+
+def refuse_long_lines(path: Path, raw: bytes) -> None:
     """Raise `InputError` where a line of `raw` is certainly no line of a text that somebody wrote."""
-    for at in range(0, max(0, len(raw) - limit), limit):
-        if raw.find(b"\n", at, at + limit) < 0 and raw.find(b"\r", at, at + limit) < 0:
-            raise InputError(f"{path}: a line is longer than {limit} bytes; it is no text that can be read.")
+    for at in range(0, max(0, len(raw) - LONGEST_LINE), LONGEST_LINE):
+        if raw.find(b"\n", at, at + LONGEST_LINE) < 0 and raw.find(b"\r", at, at + LONGEST_LINE) < 0:
+            raise InputError(f"{path}: a line is longer than {LONGEST_LINE} bytes; it is no text that can be read.")
 
 
 @contextmanager
@@ -132,5 +172,17 @@ def _fresh(path: Path) -> Path:
     return Path(name)
 
 
-__all__ = ["LONGEST_LINE", "READ_LIMIT", "UNPACKED_FLOOR", "UNPACKED_RATIO", "content", "most_unpacked",
-           "refuse_long_lines", "refuse_special", "replaced", "unpacked_limit", "write_whole"]
+__all__ = [
+    "LONGEST_LINE",
+    "READ_LIMIT",
+    "UNPACKED_FLOOR",
+    "UNPACKED_RATIO",
+    "BoundedFile",
+    "content",
+    "most_unpacked",
+    "refuse_long_lines",
+    "refuse_special",
+    "replaced",
+    "unpacked_limit",
+    "write_whole",
+]

@@ -155,10 +155,10 @@ def nominal() -> BenchModel:
     return of_calibration(calibration.nominal())
 
 
-def of_calibration(known: Calibration, effects: Mapping[str, Values] | None = None) -> BenchModel:
-    """Return the model of a calibration, with `effects` beyond it."""
+def of_calibration(known: Calibration) -> BenchModel:
+    """Return the model of a calibration."""
     values, evidence = calibration.values_of(known)
-    return BenchModel(values, evidence, dict(effects or {}), {}, known.bench, known.label,
+    return BenchModel(values, evidence, bench=known.bench, label=known.label,
                       discrepancy=known.discrepancy, correlation=known.correlation)
 
 
@@ -177,11 +177,8 @@ def read(path: str | Path, *, bench: str = "") -> BenchModel:
     return model
 
 
-def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) -> BenchModel:
-    """Return the bench model in a file's tables; tables of other readers are ignored.
-
-    `rigs`: accept the constants of a rig of another kind, too.  Raises `InputError`.
-    """
+def from_tables(tables: Mapping[str, Any], where: str) -> BenchModel:
+    """Return the bench model in a file's tables; tables of other readers are ignored.  Raises `InputError`."""
     if "version" in tables and tables["version"] not in READ:
         raise InputError(f"{where}: version = {tables['version']!r}, expected {VERSION}; run bowden identify again.")
     tables = translated(tables, where)
@@ -190,10 +187,11 @@ def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) ->
     found = tables.get(EVIDENCE, {})
     if not isinstance(found, Mapping):
         raise InputError(f"{where}: {EVIDENCE} is not a table; write it as [{EVIDENCE}].")
-    fitted, rig = (told if isinstance(told := tables.get(name, {}), Mapping) else {} for name in (FITTED, RIG))
-    if rig and not rigs:
+    fitted, rig = (table if isinstance(table := tables.get(name), Mapping) else {} for name in (FITTED, RIG))
+    if rig:
         raise InputError(f"{where}: tells the constants of a rig of another kind, which nothing simulates; diagnose "
                          "its trials with its reference trials, --healthy.")
-    return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where, fitted, rig,
-                      end_discrepancy.stated(tables, where), calibration.stated_correlation(tables, where), simulation,
-                      simulation_evidence, terms.stated(tables, where))
+    return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where, fitted,
+                      discrepancy=end_discrepancy.stated(tables, where),
+                      correlation=calibration.stated_correlation(tables, where), simulation=simulation,
+                      simulation_evidence=simulation_evidence, terms=terms.stated(tables, where))

@@ -106,11 +106,10 @@ def convert(state: Any, ring: Any, p: Any, seed: Any, time_ns: int, force_n: flo
 class Converter:
     """One sensor's bridge and converter; the same parameters, seed, times and forces give the same counts."""
 
-    __slots__ = ("_p", "_ring", "_seed", "_state", "newton_per_count", "parameters")
+    __slots__ = ("_p", "_ring", "_seed", "_state", "parameters")
 
     def __init__(self, parameters: SensorParameters, seed: int, time_ns: int = 0) -> None:
         self.parameters = parameters
-        self.newton_per_count = parameters.full_scale_n / FULL_COUNTS
         self._p: Array = np.array(astuple(parameters))
         self._seed = np.uint64(seed & 0xFFFF_FFFF_FFFF_FFFF)
         self.reset(time_ns)

@@ -50,14 +50,6 @@ def figures(
     return figures_of_blocks(lambda: [block], peak_n=peak_n, rate_hz=rate_hz, cycles=cycles, settle=settle)
 
 
-def per_cycle(
-    columns: Mapping[str, Floats], *, peak_n: float, rate_hz: float, cycles: int, true_end_n: Floats | None = None
-) -> list[dict[str, float | None]]:
-    """Return the figures of each gait cycle, stride by stride, from cycle 0; arguments and names as in `figures`."""
-    return [figures(columns, peak_n=peak_n, rate_hz=rate_hz, cycles=cycle + 1, settle=cycle, true_end_n=true_end_n)
-            for cycle in range(cycles)]
-
-
 def figures_of_blocks(
     blocks: Callable[[], Iterable[Mapping[str, Floats]]], *, peak_n: float, rate_hz: float, cycles: int, settle: int
 ) -> dict[str, float | None]:

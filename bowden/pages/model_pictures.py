@@ -15,7 +15,7 @@ from estimation.transfer import calibration_fit
 from estimation.transfer.calibration_fit import Segment
 from physics import laws
 from trial.report.plot import Plot, Series, picture, save
-from trial.report.words import display_unit
+from trial.report.words import display_unit, words
 
 if TYPE_CHECKING:
     from diagnosis.laws.law_result import Laws
@@ -31,7 +31,8 @@ def draw_law(laws: Laws, path: Path) -> None:
     for term, shown in zip(laws.terms, laws.pictures, strict=False):
         plot, factor = term_plot(shown), display_unit(AXES[shown.variable][1])[1]
         residuals = Series("residuals", shown.residual, SAMPLES, width=1.5, points=True, x=factor * shown.at)
-        plots.append(plot._replace(title=term.equation.split(", size")[0], series=[residuals, *plot.series]))
+        plots.append(plot._replace(title=term.equation.split(", size")[0], series=[residuals, *plot.series],
+                                   y_label=f"{words(shown.output)} ({shown.unit})"))
     count = max(1, len(plots))
     save(picture(plots, (6.4 * count, 4.4), columns=count), path)
 

@@ -41,13 +41,13 @@ class Errors(NamedTuple):
     sigma: float = 0.0
     unit: str = "N"
 
-    def agree(self, error: float, most: float = 1.5) -> bool:
-        """Return whether an error is at most `most` times the reference RMSE, which is a mean over several trials."""
-        return self.reference_rmse is not None and error <= most * self.reference_rmse
+    def agree(self, error: float) -> bool:
+        """Return whether an error is at most 1.5 times the reference RMSE, which is a mean over several trials."""
+        return self.reference_rmse is not None and error <= 1.5 * self.reference_rmse
 
-    def within_scatter(self, most: float = 3.0) -> bool:
-        """Return whether no constant of the session changed by more than `most` σ, about the largest of forty draws."""
-        return self.sigma <= most
+    def within_scatter(self) -> bool:
+        """Return whether no constant of the session changed by more than 3 σ, about the largest of forty draws."""
+        return self.sigma <= 3.0
 
 
 def headline(found: Findings) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Callable
@@ -101,7 +102,8 @@ def test_the_same_file_is_read_by_a_diagnosis(bowden: Run, measured: Path, here:
 def test_a_model_comes_back_from_its_file(identified: Path, tmp_path: Path) -> None:
     model = bench_model.read(identified / "model.toml", bench="virtual 3")
     path = tmp_path / "again.toml"
-    path.write_text(bench_model.of_calibration(model.calibration, {"slack": {"slack": 1e-3}}).text())
+    path.write_text(dataclasses.replace(
+        bench_model.of_calibration(model.calibration), effects={"slack": {"slack": 1e-3}}).text())
     again = bench_model.read(path)
     assert again.values == model.values
     assert again.evidence.keys() == model.evidence.keys()

@@ -10,11 +10,12 @@ from physics.converter import FULL_COUNTS, Converter, SensorParameters
 
 MS = 1_000_000
 QUIET = SensorParameters(noise_n=0.0)
+NEWTON_PER_COUNT = QUIET.full_scale_n / FULL_COUNTS
 
 
 def _newtons(converter: Converter, forces: list[float], start_ns: int = 0) -> np.ndarray:
     counts = [converter.sample(start_ns + k * MS, force) for k, force in enumerate(forces)]
-    return np.array(counts) * converter.newton_per_count
+    return np.array(counts) * NEWTON_PER_COUNT
 
 
 def test_noise_has_the_declared_rms_and_is_white() -> None:
@@ -35,7 +36,7 @@ def test_noise_is_normal() -> None:
 def test_noise_belongs_to_the_instant_not_to_the_call() -> None:
     every = _newtons(Converter(SensorParameters(cutoff_hz=1e4), 5), [10.0] * 200)
     second = Converter(SensorParameters(cutoff_hz=1e4), 5)
-    skipping = np.array([second.sample(k * MS, 10.0) for k in range(0, 200, 2)]) * second.newton_per_count
+    skipping = np.array([second.sample(k * MS, 10.0) for k in range(0, 200, 2)]) * NEWTON_PER_COUNT
     np.testing.assert_array_equal(every[::2], skipping)
 
 
@@ -53,14 +54,14 @@ def test_low_pass_is_first_order_whatever_the_step() -> None:
         for k in range(1, 4 * MS // step_ns + 1):
             counts = converter.sample(k * step_ns, 50.0)
         # one count of 24 bits
-        assert counts * converter.newton_per_count == pytest.approx(50 * (1 - math.exp(-4e-3 / tau)), abs=2.4e-5)
+        assert counts * NEWTON_PER_COUNT == pytest.approx(50 * (1 - math.exp(-4e-3 / tau)), abs=2.4e-5)
 
 
 def test_gain_offset_drift() -> None:
     wrong = replace(QUIET, gain=1.05, offset_n=-2.0, drift_n=3.0, drift_s=10.0)
     converter = Converter(wrong, 0, time_ns=2_000 * MS)
     converter.sample(2_000 * MS, 40.0)
-    read = converter.sample(7_000 * MS, 40.0) * converter.newton_per_count
+    read = converter.sample(7_000 * MS, 40.0) * NEWTON_PER_COUNT
     assert read == pytest.approx(40.0 * 1.05 - 2.0 + 1.5, abs=2.4e-5)
 
 

@@ -122,7 +122,8 @@ def test_figures_read_by_block_are_those_of_the_whole() -> None:
 def test_each_cycle_has_its_own_figures_and_together_they_are_the_trials() -> None:
     found = columns(np.where(columns()["cycle"] == 2, 0.8, 0.4))
     true = columns()["tension_end_n"]
-    each = metrics.per_cycle(found, peak_n=PEAK_N, rate_hz=RATE_HZ, cycles=CYCLES, true_end_n=true)
+    each = [metrics.figures(found, peak_n=PEAK_N, rate_hz=RATE_HZ, cycles=cycle + 1, settle=cycle, true_end_n=true)
+            for cycle in range(CYCLES)]
     assert [row["relative_rmse_percent"] for row in each] == pytest.approx([1.0, 1.0, 2.0, 1.0])
     assert {row["true_relative_rmse_percent"] for row in each} == {0.0}
     assert list(each[0]) == list(figures(found))

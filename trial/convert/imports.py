@@ -7,13 +7,12 @@ or a stamp and float64 columns; every other topic is left out and named.
 
 import gzip
 import io
-import os
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, TextIO
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from eds.bench.bench_network import Network, WireLayout
 from eds.bench.bench_network import wire as wire_of
 from parameters import InputError
-from parameters.files import refuse_special, unpacked_limit
+from parameters.files import BoundedFile, refuse_special
 from trial import decode, record
 from trial.convert import candump, csv_table, sheets
 from trial.convert.csv_file import Dialect
@@ -35,7 +34,6 @@ from trial.signals import UNITS
 Floats = NDArray[np.float64]
 PYTHON_CAN = (".asc", ".blf", ".trc", ".db")
 TABLES = (".csv", ".tsv", ".dat", ".xlsx", ".tdms", ".parquet", ".mat", ".mf4", ".mdf")
-LONGEST_LINE = 1 << 16  # characters; what is longer is no line of a log
 LINES_TOLD = 1 << 14  # between two words of progress
 READING = 0.7  # of the share: of a CAN log the reading takes longer than the writing
 
@@ -208,10 +206,9 @@ def _from_candump(source: Path, report: ImportReport, asked: ImportRequest) -> T
 
 def _candump_frames(source: Path, progress: Progress) -> LoggedFrames:
     try:
-        with source.open("rb") as raw:
-            unpacked = gzip.GzipFile(fileobj=raw) if source.suffix == ".gz" else raw
-            lines = io.TextIOWrapper(unpacked, encoding="ascii", errors="replace")
-            frames = candump.read(_followed(lines, raw, source, progress))
+        with BoundedFile(source, lines=True) as raw:
+            lines = io.TextIOWrapper(io.BufferedReader(raw, 1 << 16), encoding="ascii", errors="replace")
+            frames = candump.read(_followed(lines, raw, progress))
     except FileNotFoundError:
         raise InputError(f"{source}: no such file; give the path of a CAN log.") from None
     except InputError as error:
@@ -224,18 +221,11 @@ def _candump_frames(source: Path, progress: Progress) -> LoggedFrames:
     return frames
 
 
-def _followed(lines: TextIO, raw: BinaryIO, source: Path, progress: Progress) -> Iterator[str]:
-    """Yield `lines`, cut at the longest line allowed, and report how much of the file `raw` has been read."""
-    size, unpacked = os.fstat(raw.fileno()).st_size, 0
-    limit = unpacked_limit(source)
-    for number, line in enumerate(iter(lambda: lines.readline(LONGEST_LINE), ""), start=1):
-        unpacked += len(line)
-        if len(line) == LONGEST_LINE:
-            raise InputError(f"{source}: line {number} is longer than {LONGEST_LINE} characters; it is no log.")
-        if unpacked > limit:
-            raise InputError(f"{source}: unpacks to more than {limit} bytes; it is no measured log, do not open it.")
+def _followed(lines: Iterable[str], raw: BoundedFile, progress: Progress) -> Iterator[str]:
+    """Yield `lines`, and report how much of the file `raw` has been read."""
+    for number, line in enumerate(lines, start=1):
         if not number % LINES_TOLD:
-            progress(min(1.0, raw.tell() / size))
+            progress(raw.share())
         yield line
 
 

@@ -5,7 +5,6 @@ itself only where a CAN log of python-can's formats is asked for.  Times stay in
 message read from a trial carries `time_ns` beside python-can's seconds.
 """
 
-import gzip
 import io
 import os
 import shutil
@@ -25,7 +24,7 @@ from can.io.player import MESSAGE_READERS
 from numpy.typing import NDArray
 
 from parameters import InputError
-from parameters.files import LONGEST_LINE, READ_LIMIT, refuse_special, unpacked_limit
+from parameters.files import BoundedFile, refuse_special
 from trial.convert.frames import ChannelNumbers, FrameRows, LoggedFrames, Row
 from trial.mcap_file import cdr
 from trial.read import frame_blocks
@@ -156,47 +155,12 @@ def _refuse_bomb(path: Path) -> None:
 CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
 
 
-class BoundedFile(io.RawIOBase):
-    """A file, unpacked where it is packed, that ends with an error where it is endless; `lines` bounds each line."""
-
-    def __init__(self, path: Path, *, lines: bool) -> None:
-        self._file = path.open("rb")
-        packed = path.suffix.lower() == ".gz"
-        self._source: Any = gzip.GzipFile(fileobj=self._file) if packed else self._file
-        self._path, self._limit, self._lines = path, unpacked_limit(path) if packed else READ_LIMIT, lines
-        self._taken = self._line = 0
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, room: Any) -> int:
-        data = self._source.read(len(room))
-        room[:len(data)] = data
-        self._taken += len(data)
-        end = data.rfind(b"\n")
-        self._line = self._line + len(data) if end < 0 else len(data) - end
-        if self._taken > self._limit:
-            raise InputError(f"{self._path}: unpacks to more than {self._limit} bytes; it is no measured log, "
-                             "do not open it.")
-        if self._lines and self._line > LONGEST_LINE:
-            raise InputError(f"{self._path}: a line is longer than {LONGEST_LINE} bytes; it is no log.")
-        return len(data)
-
-    def position(self) -> int:
-        """Return the reading position in the file, bytes."""
-        return self._file.tell()
-
-    def close(self) -> None:
-        self._file.close()
-        super().close()
-
-
 @contextmanager
-def _messages(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
-    """Yield an iterator over a log's messages, and a function that returns the bytes read so far."""
+def _messages(path: Path) -> Iterator[tuple[Any, Callable[[], float]]]:
+    """Yield an iterator over a log's messages, and a function that returns the share of the file read so far."""
     ending = _ending(path)
     if ending == ".db":
-        yield _sqlite(path), lambda: 0
+        yield _sqlite(path), lambda: 0.0
         return
     if ending == ".blf" and path.suffix.lower() == ".blf":
         _refuse_bomb(path)
@@ -204,13 +168,13 @@ def _messages(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
     text = issubclass(reader_type, TextIOMessageReader)
     if ending == ".mf4":
         with reader_type(path) as reader:
-            yield reader, lambda: 0
+            yield reader, lambda: 0.0
         return
     with BoundedFile(path, lines=text) as raw:
         whole: Any = io.BufferedReader(raw, 1 << 16)
         file = io.TextIOWrapper(whole, encoding="utf-8", errors="replace") if text else whole
         with reader_type(file) as reader:
-            yield reader, raw.position
+            yield reader, raw.share
 
 
 def _mdf_reader() -> Any:
@@ -258,11 +222,10 @@ def read_log(path: Path, progress: Callable[[float], None] = lambda share: None)
     channels = ChannelNumbers()
     counts = {"fd_frames": 0, "malformed_frames": 0, "dlc_above_8": 0}
     try:
-        size = path.stat().st_size
-        with _messages(path) as (reader, position):
+        with _messages(path) as (reader, share):
             for number, message in enumerate(reader, start=1):
                 if number % ROWS_AT_ONCE == 0:
-                    progress(min(1.0, position() / size))
+                    progress(share())
                 _take(message, rows, channels, counts)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of a CAN log.") from None
