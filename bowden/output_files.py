@@ -63,11 +63,6 @@ PICTURES = (".png", ".svg", ".svgz", ".pdf", ".ps", ".eps", ".jpg", ".jpeg", ".w
 """File endings of supported pictures."""
 
 
-def refuse_picture(path: Path | None) -> None:
-    """Raise `InputError` for a picture of an unknown kind, before anything is run for it."""
-    refuse_ending(path, *PICTURES, what="a picture")
-
-
 def refuse_ending(path: Path | None, *endings: str, what: str) -> None:
     """Raise `InputError` if a file's ending is not one for `what`."""
     if path is not None and path.suffix.lower() not in endings:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -106,9 +106,14 @@ def moved(cause: Mapping[str, Any], bench: BenchModel | None, model: BenchModel 
             there = before + value - was if size.neutral == 0.0 else before * share
         return min(max(there, size.low), size.high)
 
-    row = {key: stated(told) if key in ("value", "low", "high") else told
-           for key, told in cause["parameters"][name].items()}
-    return {**cause, "parameters": {**cause["parameters"], name: row}}
+    return resized(cause, stated)
+
+
+def resized(cause: Mapping[str, Any], size: Callable[[float], float]) -> Mapping[str, Any]:
+    """Return a cause whose size, its first parameter, has value and interval changed by the function `size`."""
+    name, row = next(iter(cause["parameters"].items()))
+    changed = {key: size(row[key]) for key in ("value", "low", "high") if key in row}
+    return {**cause, "parameters": {**cause["parameters"], name: {**row, **changed}}}
 
 
 def _on_knee(values: Mapping[str, float]) -> float:

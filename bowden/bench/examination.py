@@ -91,11 +91,11 @@ class Soak:
         return sum(trip > 1_000_000_000 // rate_hz for trip in trips) + self.unanswered, len(trips) + self.unanswered
 
 
-def upper_bound(events: int, trials: int, confidence: float = CONFIDENCE) -> float:
-    """Return the upper bound of an event's probability at a one-sided confidence (Clopper and Pearson, 1934).
+def upper_bound(events: int, trials: int) -> float:
+    """Return the upper bound of an event's probability at the one-sided `CONFIDENCE` (Clopper and Pearson, 1934).
 
-    The bound p solves P(at most `events` of `trials`) = 1 − confidence, here by bisection; without an event it is
-    1 − (1 − confidence)^(1/trials), about 3/trials at 95 %.
+    The bound p solves P(at most `events` of `trials`) = 1 − `CONFIDENCE`, here by bisection; without an event it is
+    1 − (1 − `CONFIDENCE`)^(1/trials), about 3/trials at 95 %.
     """
     if events >= trials:
         return 1.0
@@ -105,7 +105,7 @@ def upper_bound(events: int, trials: int, confidence: float = CONFIDENCE) -> flo
     for _ in range(60):
         p = 0.5 * (low + high)
         terms = ratios + np.arange(events + 1) * np.log(p) + (trials - np.arange(events + 1)) * np.log1p(-p)
-        low, high = (p, high) if float(np.exp(terms).sum()) > 1.0 - confidence else (low, p)
+        low, high = (p, high) if float(np.exp(terms).sum()) > 1.0 - CONFIDENCE else (low, p)
     return high
 
 

@@ -1,7 +1,9 @@
 """Options of the commands, each declared once.
 
 A group is a named tuple of options with defaults and a method that applies them to a configuration: a command takes it
-as one parameter.  `grouped` spells groups out for the command line and gathers them again.
+as one parameter.  An option that names a file to write has an `OutputFile` in its annotation.  `grouped` makes of a
+command what the command line calls: groups are spelt out and gathered again, --json and, beside a file to write,
+--overwrite are added, output files are checked before the command begins, and the answer is printed.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 
+from bowden import output_files
 from bowden.cli.terminal import CommandAnswer, answered
 from parameters import InputError
 from physics.effects.separating_experiments import SCRIPTED
@@ -37,6 +40,16 @@ def argument(metavar: str, help: str, **more: Any) -> Any:
 
 def _file(help: str, *names: str) -> Any:
     return option(help, *names, metavar="FILE")
+
+
+class OutputFile(NamedTuple):
+    """Content of a file to write, as an error sentence names it, and the endings that such a file may have.
+
+    Without endings any is allowed.
+    """
+
+    content: str = ""
+    endings: tuple[str, ...] = ()
 
 
 def _beginning(names: Iterable[str], incomplete: str) -> list[str]:
@@ -78,42 +91,27 @@ def declared_paths(incomplete: str) -> list[str]:
     return _beginning((path.name for path in bench.force_paths), incomplete)
 
 
-Output = Annotated[Path, _file("File to write.", "-o", "--output")]
+Output = Annotated[Path, _file("File to write.", "-o", "--output"), OutputFile()]
+PictureFile = OutputFile("a picture", output_files.PICTURES)
+Page = OutputFile("a page", (".html", ".htm"))
+Recording = OutputFile("a recording", (".mcap",))
 Overwrite = Annotated[bool, option("Replace an existing output file.", "--overwrite")]
 Json = Annotated[bool, option("JSON on stdout, nothing else.", "--json")]
 Config = Annotated[Path | None, _file("bench.toml; bowden init writes one.", "--config")]
-Picture = Annotated[Path | None, _file("Draw desired, START and END force (png, svg, pdf).")]
+Picture = Annotated[Path | None, _file("Draw desired, START and END force (png, svg, pdf)."), PictureFile]
 
 Logbook = Annotated[Path | None, option(
     "Logbook to enter it in (default: [record] logbook of the configuration).", metavar="DIR")]
 Session = Annotated[str | None, option(
     "Session of the logbook (default: the date; simulated: the day).", metavar="LABEL")]
 
-Watched = Annotated[bool, option("Diagnose while it runs, by gait cycle; needs --healthy or a logbook.", "--watch")]
 Healthy = Annotated[list[Path] | None, option("Reference trial of the healthy bench; repeatable.", metavar="TRIAL")]
-StopOn = Annotated[list[str] | None, option(
-    "With --watch: safe stop if this effect, or any, costs 2 % of the peak; repeatable.", metavar="EFFECT",
-    autocompletion=effects)]
 
 Peak = Annotated[float | None, option("Peak of the desired force, N (default 40).", metavar="N")]
 Period = Annotated[float | None, option("Gait period, s (default 2.0, or the knee file's stride).", metavar="S")]
 Cycles = Annotated[int | None, option("Gait cycles to run (default 10).", metavar="COUNT")]
-Settle = Annotated[int | None, option("First cycles left out of every figure (default 1).", metavar="COUNT")]
-SoftStart = Annotated[int | None, option("Gait cycles before the first, over which the peak rises (default 0).",
-                                         "--soft-start", metavar="COUNT")]
 Rate = Annotated[int | None, option("Control cycles per second, Hz (default 1000).", metavar="HZ")]
-Controller = Annotated[str | None, option(
-    "paper, none, friction, impedance, extended or module:Class (paper).", metavar="NAME", autocompletion=controllers)]
-Tuning = Annotated[list[str] | None, option(
-    "A parameter that the controller declares; repeatable.", "--set", metavar="NAME=VALUE")]
 Knee = Annotated[Path | None, _file("Knee motion, CSV of time_s, knee_angle_rad or gait_percent, knee_angle_deg.")]
-Strides = Annotated[int | None, option(
-    "Strides of --knee FILE to play in random order, varied, by --seed.", metavar="COUNT")]
-Stumbles = Annotated[int | None, option("Strides in which the wearer stumbles (default 0).", metavar="COUNT")]
-Stops = Annotated[int | None, option("Times that the wearer stops and goes on (default 0).", metavar="COUNT")]
-Sits = Annotated[int | None, option("Times that the wearer sits down and goes on (default 0).", metavar="COUNT")]
-Phase = Annotated[str | None, option(
-    "What the force follows: clock, or felt, from the knee alone (default with --strides).", metavar="NAME")]
 Desired = Annotated[Path | None, _file(
     "Desired force, CSV of time_s or gait_percent and desired_force_n, or by knee_angle_deg, too; or module:function.")]
 Calibration = Annotated[Path | None, _file("Bench model to work from (default: the packaged nominal one).")]
@@ -126,12 +124,6 @@ MotionOf = Annotated[Path | None, _file(
 ControllerModel = Annotated[Path | None, _file("Bench model whose effects the controller compensates.")]
 DryRun = Annotated[bool, option("Everything on the bus, drives never enabled.", "--dry-run")]
 
-Serial = Annotated[int | None, option(
-    "Simulated bench: its serial number (default 1).", metavar="NUMBER", autocompletion=serials)]
-Day = Annotated[int | None, option("Simulated bench: number of the session (default 0).", metavar="NUMBER")]
-Seed = Annotated[int | None, option("Simulated bench: seed of the noise (default 0).", metavar="NUMBER")]
-Plant = Annotated[str | None, option("Simulated bench: its plant (default bowden).", metavar="NAME")]
-PlantModel = Annotated[Path | None, _file("Simulated bench: bench model or plant tables, TOML.")]
 SafetyMonitor = Annotated[str | None, option(
     "Safety monitor with the bounds in this file, or packaged (default: [monitor]).", metavar="FILE")]
 Interface = Annotated[str | None, option(
@@ -158,10 +150,14 @@ class WalkOptions(NamedTuple):
     peak: Peak = None
     period: Period = None
     cycles: Cycles = None
-    settle: Settle = None
-    controller: Controller = None
-    soft_start: SoftStart = None
-    tuning: Tuning = None
+    settle: Annotated[int | None, option("First cycles left out of every figure (default 1).", metavar="COUNT")] = None
+    controller: Annotated[str | None, option(
+        "paper, none, friction, impedance, extended or module:Class (paper).", metavar="NAME",
+        autocompletion=controllers)] = None
+    soft_start: Annotated[int | None, option(
+        "Gait cycles before the first, over which the peak rises (default 0).", metavar="COUNT")] = None
+    tuning: Annotated[list[str] | None, option(
+        "A parameter that the controller declares; repeatable.", "--set", metavar="NAME=VALUE")] = None
 
     def gait(self, section: Any, controller: str | None = None) -> Any:
         """Return the configuration's `section`, overridden by the options; `controller` is the default controller."""
@@ -173,11 +169,14 @@ class WalkOptions(NamedTuple):
 class StrideOptions(NamedTuple):
     """Options of strides that differ; None uses the configuration."""
 
-    strides: Strides = None
-    stumbles: Stumbles = None
-    stops: Stops = None
-    sits: Sits = None
-    phase: Phase = None
+    strides: Annotated[int | None, option(
+        "Strides of --knee FILE to play in random order, varied, by --seed.", metavar="COUNT")] = None
+    stumbles: Annotated[int | None, option("Strides in which the wearer stumbles (default 0).", metavar="COUNT")] = None
+    stops: Annotated[int | None, option("Times that the wearer stops and goes on (default 0).", metavar="COUNT")] = None
+    sits: Annotated[int | None, option(
+        "Times that the wearer sits down and goes on (default 0).", metavar="COUNT")] = None
+    phase: Annotated[str | None, option(
+        "What the force follows: clock, or felt, from the knee alone (default with --strides).", metavar="NAME")] = None
 
     def walk(self, section: Any, seed: int | None) -> Any:
         """Return the configuration's `section`, overridden by the options, drawn by `seed`."""
@@ -205,19 +204,23 @@ def _overridden(section: Any, given: Mapping[str, Any]) -> Any:
 class SimulatedOptions(NamedTuple):
     """Options of simulated benches only; None if not given."""
 
-    serial: Serial = None
-    day: Day = None
-    seed: Seed = None
-    plant: Plant = None
-    plant_model: PlantModel = None
+    serial: Annotated[int | None, option(
+        "Simulated bench: its serial number (default 1).", metavar="NUMBER", autocompletion=serials)] = None
+    day: Annotated[int | None, option("Simulated bench: number of the session (default 0).", metavar="NUMBER")] = None
+    seed: Annotated[int | None, option("Simulated bench: seed of the noise (default 0).", metavar="NUMBER")] = None
+    plant: Annotated[str | None, option("Simulated bench: its plant (default bowden).", metavar="NAME")] = None
+    plant_model: Annotated[Path | None, _file("Simulated bench: bench model or plant tables, TOML.")] = None
 
 
 class WatchOptions(NamedTuple):
     """Diagnosis while the trial runs."""
 
-    watch: Watched = False
+    watch: Annotated[bool, option(
+        "Diagnose while it runs, by gait cycle; needs --healthy or a logbook.", "--watch")] = False
     healthy: Healthy = None
-    stop_on: StopOn = None
+    stop_on: Annotated[list[str] | None, option(
+        "With --watch: safe stop if this effect, or any, costs 2 % of the peak; repeatable.", metavar="EFFECT",
+        autocompletion=effects)] = None
 
     def bench(self, logbook: Path | None) -> WatchedBench | None:
         """Return the bench that is watched, None where nothing is; reference trials of `logbook` where none is named.
@@ -241,7 +244,7 @@ def watched_bench(healthy: Sequence[Path] | None, logbook: Path | None, stop_on:
     refuse_stop_on(stop_on or (), "--stop-on")
     if not healthy and logbook is None:
         raise InputError("a watch compares with reference trials; name at least one with --healthy, or a --logbook.")
-    found, deviations = logbook_entries.reference_trials(logbook, healthy) if logbook else (healthy or [], None)
+    found, deviations = logbook_entries.reference_trials(logbook, healthy)
     return WatchedBench(tuple(found), deviations, tuple(stop_on or ()))
 
 
@@ -329,14 +332,17 @@ BusAlone = Annotated[Bus, "interface", "channel", "bitrate", "option"]
 
 
 def grouped(command: Callable[..., CommandAnswer | int]) -> Callable[..., int]:
-    """Replace each option group in a command's signature by the group's options, add --json, and print the answer.
+    """Return a command as the command line calls it: with spelt-out options, checked output files, a printed answer.
 
-    An annotated group has the options that the annotation names, others all.
+    An annotated group has the options that the annotation names, others all.  A command that declares --overwrite
+    receives its value.
     """
     hints = get_type_hints(command, include_extras=True)
     del hints["return"]
     groups = {name: (kind, getattr(kind, "__metadata__", kind._fields)) for name, kind in hints.items()
               if hasattr(kind, "_field_defaults")}
+    outputs = {name: kinds[-1] for name, hint in hints.items() if name not in groups
+               if (kinds := [kind for kind in getattr(hint, "__metadata__", ()) if isinstance(kind, OutputFile)])}
     spelt: list[inspect.Parameter] = []
     for parameter in inspect.signature(command).parameters.values():
         if parameter.name in groups:
@@ -345,11 +351,17 @@ def grouped(command: Callable[..., CommandAnswer | int]) -> Callable[..., int]:
             spelt += [_option_of(field, kind._field_defaults[field], offered[field]) for field in fields]
         else:
             spelt.append(_option_of(parameter.name, parameter.default, hints[parameter.name]))
+    if outputs and "overwrite" not in hints:
+        spelt.append(_option_of("overwrite", False, Overwrite))
     spelt.append(_option_of("json", False, Json))
 
     @wraps(command)
     def gathered(**given: Any) -> int:
         json = given.pop("json")
+        if outputs:
+            _refuse_outputs(outputs, given)
+            if "overwrite" not in hints:
+                del given["overwrite"]
         made = {name: getattr(kind, "__origin__", kind)(**{field: given.pop(field) for field in fields})
                 for name, (kind, fields) in groups.items()}
         return answered(lambda: command(**given, **made), json=json)
@@ -358,6 +370,16 @@ def grouped(command: Callable[..., CommandAnswer | int]) -> Callable[..., int]:
     gathered.__annotations__ = {parameter.name: parameter.annotation for parameter in spelt}
     gathered.__signature__ = inspect.Signature(spelt)  # type: ignore[attr-defined]
     return gathered
+
+
+def _refuse_outputs(outputs: Mapping[str, OutputFile], given: Mapping[str, Any]) -> None:
+    """Raise `InputError` for an output file of another ending, one that exists, or one that is an input, too."""
+    for name, kind in outputs.items():
+        if kind.endings:
+            output_files.refuse_ending(given[name], *kind.endings, what=kind.content)
+    inputs = [path for name, value in given.items() if name not in outputs
+              for path in (value if isinstance(value, list | tuple) else (value,)) if isinstance(path, Path)]
+    output_files.refuse([given[name] for name in outputs], overwrite=given["overwrite"], inputs=inputs)
 
 
 def _option_of(name: str, default: Any, annotation: Any) -> inspect.Parameter:

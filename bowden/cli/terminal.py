@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
@@ -84,6 +85,16 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
     console.print(drawn)
 
 
+WIDTH = 80
+"""Greatest width of a sentence on stdout, columns of the terminal."""
+
+
+def sentence(text: str, indent: str = "") -> None:
+    """Print a sentence in lines of at most `WIDTH` columns."""
+    print(textwrap.fill(text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False,
+                        break_on_hyphens=False))
+
+
 def remark(text: str) -> None:
     """Print one line on stderr."""
     print(f"bowden: {text}", file=sys.stderr, flush=True)
@@ -100,27 +111,20 @@ class Terminal:
     def __init__(self, *, shown: bool = True) -> None:
         self._shown = shown
 
-    def running(self, what: str) -> AbstractContextManager[Callable[[float], None]]:
-        """Return a progress bar."""
-        return progress(what, shown=self._shown)
+    def running(self, what: str) -> AbstractContextManager[Callable[..., None]]:
+        """Show a bar on stderr; yields a function of the share done, 0…1, and of the present step."""
+        return _drawn(what, 1.0, self._shown)
 
-    def waiting(self, what: str) -> AbstractContextManager[None]:
-        """Return a spinner."""
-        return waiting(what, shown=self._shown)
+    def waiting(self, what: str) -> AbstractContextManager[Any]:
+        """Show a spinner on stderr with the elapsed time."""
+        return _drawn(what, None, self._shown)
 
-    def remark(self, sentence: str) -> None:
-        """Print one line on stderr."""
-        remark(sentence)
+    remark = staticmethod(remark)
 
 
-def progress(text: str, *, shown: bool = True) -> AbstractContextManager[Callable[..., None]]:
-    """Show a bar on stderr; yields a function of the share done, 0…1, and of the present step."""
-    return _drawn(text, 1.0, shown)
-
-
-def waiting(text: str, *, shown: bool = True) -> AbstractContextManager[Any]:
-    """Show a spinner on stderr with the elapsed time."""
-    return _drawn(text, None, shown)
+TERMINAL = Terminal()
+"""Progress of every command but a watched trial, whose own lines a bar would cut."""
+progress, waiting = TERMINAL.running, TERMINAL.waiting
 
 
 @contextmanager

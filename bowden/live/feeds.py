@@ -16,8 +16,8 @@ import numpy as np
 from bowden.live.page_process import PageProcess, PageSetup
 from bowden.live.state import FORCES, ROW_NS, WINDOW_S, LiveState
 from eds.bench.bench_network import Network, wire
+from trial.convert.python_can import flags_of, time_ns_of
 from trial.decode import Follower
-from trial.mcap_file import cdr
 from trial.playback import Playback, PlayerControl, PlayerStatus, ready
 from trial.read import Trial
 from trial.signals import of_bench, of_paths
@@ -141,10 +141,7 @@ class BusFeed:
         """Take one message as `can.BusABC.recv` gives it; CAN FD frames are no bench's and are left out."""
         if message.is_fd:
             return
-        time_ns = getattr(message, "time_ns", None) or round(message.timestamp * 1e9)
-        flags = (message.is_remote_frame * cdr.REMOTE | message.is_extended_id * cdr.EXTENDED
-                 | message.is_error_frame * cdr.ERROR)
-        data = bytes(message.data)
+        time_ns, flags, data = time_ns_of(message), flags_of(message), bytes(message.data)
         self._shown.frame(time_ns, message.arbitration_id, data, flags)
         ended = None if flags else self._follow(time_ns, message.arbitration_id, data)
         if ended is not None:  # no PDO carries the desired force

@@ -41,10 +41,10 @@ class EndedNightError(Exception):
     """The run ends here; the text is the reason."""
 
 
-def end_error(trial: Trial, settle: int = 1) -> Floats:
-    """Return END less the desired force, N, by part of the gait, mean of the cycles from `settle` on; NaN: unknown."""
+def end_error(trial: Trial) -> Floats:
+    """Return END less the desired force, N, by part of the gait, mean of the cycles after the first; NaN: unknown."""
     error = trial.columns["tension_end_n"] - trial.columns["desired_force_n"]
-    kept = np.isfinite(error) & (trial.columns["cycle"] >= settle)
+    kept = np.isfinite(error) & (trial.columns["cycle"] >= 1)
     part = np.minimum(BINS * trial.columns["gait_percent"][kept] / 100.0, BINS - 1).astype(int)
     count = np.bincount(part, minlength=BINS)
     with np.errstate(invalid="ignore"):

@@ -6,7 +6,7 @@ This module passes trials and models to `diagnosis` and returns its findings; it
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -96,13 +96,13 @@ class DiagnosisResult:
 
     def scaled(self, share: float) -> DiagnosisResult:
         """Return the result with the sizes of all effects, and the coefficients of terms, changed by `share`."""
-        causes = []
-        for cause in self.found.causes:
-            name = next(iter(cause["parameters"]))
-            was = cause.get("was", {}).get(name, 0.0)
-            row = {key: was + share * (told - was) if key in ("value", "low", "high") else told
-                   for key, told in cause["parameters"][name].items()}
-            causes.append({**cause, "parameters": {**cause["parameters"], name: row}})
+        from diagnosis.extension import resized
+
+        def scaled(cause: Mapping[str, Any]) -> dict[str, Any]:
+            was = cause.get("was", {}).get(next(iter(cause["parameters"])), 0.0)
+            return dict(resized(cause, lambda size: was + share * (size - was)))
+
+        causes = [scaled(cause) for cause in self.found.causes]
         laws = self.found.laws and dataclasses.replace(
             self.found.laws, terms=[term.scaled(share) for term in self.found.laws.terms])
         return DiagnosisResult(dataclasses.replace(self.found, causes=causes, laws=laws), self._trials, self._holdout,

@@ -80,16 +80,14 @@ def simulate(name: str, walk: WalkPlan, recorded: Path, *, day: int = 0,
     from bowden.trials import session
 
     sections = configuration.read(None)
-    gait = configuration.override(sections["gait"], {
+    sections["gait"] = configuration.override(sections["gait"], {
         "peak_n": ("--peak", walk.peak_n), "period_s": ("--period", walk.period_s), "cycles": ("--cycles", walk.cycles),
         "settle": ("--settle", 0)})
-    reference, sections["gait"], _ = session.reference(
-        gait, None, None, period_given=True, peak_given=walk.peak_n is not None)
     sensor = {"noise_n": walk.noise_n}
     noisy = plant_model if walk.noise_n is None else {"start_sensor": sensor, "end_sensor": sensor}
-    script = None if name == GAIT else name
-    prepared = session.prepare(
-        sections, reference, None, buses.simulated(serial=0, day=day, plant_model=noisy), dry_run=False, script=script)
+    prepared = session.prepare_gait(
+        sections, None, buses.simulated(serial=0, day=day, plant_model=noisy), peak_given=walk.peak_n is not None,
+        period_given=True, script=None if name == GAIT else name)
     result = session.perform(prepared, recorded)
     if result["outcome"] != "completed":
         raise InputError(f"--plan {name}: the simulated trial stopped ({result['stop_reason']}); ask for less.")
@@ -173,7 +171,7 @@ def of_model(model: Path) -> ExperimentPlan:
         paths = [Path(folder) / f"{day}.mcap" for day in SIMULATED_DAYS]
         for day, path in zip(SIMULATED_DAYS, paths, strict=True):
             simulate(GAIT, AS_CONFIGURED, path, day=day,
-                              plant_model=tables if day == SIMULATED_DAYS[-1] else without)
+                     plant_model=tables if day == SIMULATED_DAYS[-1] else without)
         return of_trials(paths[-1:], paths[:-1])
 
 

@@ -83,24 +83,26 @@ def add_model(folder: Path, kind: str, path: Path) -> None:
         book.enter_model(kind, path, path.read_text(encoding="utf-8"))
 
 
-def reference_trials(folder: Path, healthy: Sequence[Path] | None = None
+def reference_trials(folder: Path | None, healthy: Sequence[Path] | None = None, trials: Sequence[Path] = ()
                      ) -> tuple[list[Path], dict[str, float] | None]:
-    """Return reference trials, those of the posterior if none are given as `healthy`, and 1σ between sessions.
+    """Return reference trials, the logbook's if none are given as `healthy`, none of `trials`, and 1σ between sessions.
 
-    1σ: of each constant, in coordinates; None before two reference sessions.  Raises `InputError` where no reference
-    session has a trial whose file is there.
+    1σ: of each constant, in coordinates; None before two reference sessions, and without a logbook.  Raises
+    `InputError` where no reference session has a trial whose file is there.
     """
-    with open_logbook(folder) as book:
-        if healthy:
-            return list(healthy), measured_deviations(book)
-        kept = book.reference()
-        trials = [book.trials(1, trial=number)[0] for number in (() if kept is None else kept.trials)]
-        found = [book.place(trial.path) for trial in trials if trial.there]
-        deviations = measured_deviations(book)
-    if not found:
-        raise InputError(f"{folder}: no reference session has a fitted trial whose file is there; name reference "
-                         "trials with --healthy.")
-    return found, deviations
+    found, deviations = list(healthy or ()), None
+    if folder is not None:
+        with open_logbook(folder) as book:
+            if not found:
+                kept = book.reference()
+                entries = [book.trials(1, trial=number)[0] for number in (() if kept is None else kept.trials)]
+                found = [book.place(trial.path) for trial in entries if trial.there]
+            deviations = measured_deviations(book)
+        if not found:
+            raise InputError(f"{folder}: no reference session has a fitted trial whose file is there; name reference "
+                             "trials with --healthy.")
+    same = {trial.resolve() for trial in trials}
+    return [path for path in found if path.resolve() not in same], deviations
 
 
 def path_of(folder: Path) -> str | None:

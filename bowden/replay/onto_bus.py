@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from bowden.bench.buses import BusSettings, opened_one
-from bowden.progress import SILENT, Progress
 from bowden.replay.player import (
     LINGER_NS,
     Lateness,
@@ -109,17 +108,6 @@ def opened(
         playing = Playing(player, bus, outlet, 0)
         restored = player.seek(0, playing.clock()) if selection.from_s > 0 else []
         yield Playing(player, bus, outlet, len(restored))
-
-
-def replay(
-    recorded: Trial, selection: Selection, chosen: BusSettings, channels: Mapping[int, str] | None = None, *,
-    speed: float = 1.0, loops: int = 1, progress: Progress = SILENT,
-) -> PlaybackResult:
-    """Play the frames that `selection` names, in their time."""
-    with opened(recorded, selection, chosen, channels, speed=speed, loops=loops) as playing:
-        with progress.running("replay") as update:
-            playing.run(update)
-        return playing.played()
 
 
 @contextmanager

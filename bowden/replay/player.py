@@ -18,6 +18,7 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
+from eds.bench.bench_network import MASTER
 from eds.cia301 import (
     HEARTBEAT_BASE,
     NMT_COB_ID,
@@ -171,10 +172,10 @@ def nmt_states(frames: Rows) -> dict[int, NmtState]:
     return states
 
 
-def restoration(schedule: Schedule, count: int, master: int = 127) -> list[tuple[Frame, int]]:
+def restoration(schedule: Schedule, count: int) -> list[tuple[Frame, int]]:
     """Return the frames, each with its channel, that restore the bus to its state after `count` frames of the schedule.
 
-    On every channel NMT commands for every node but `master`, then the last PDO of each COB-ID in the order of arrival.
+    On every channel NMT commands for every node but the master, then the last PDO of each COB-ID in the order of arrival.
     Filtered frames are not sent.
     """
     past = np.concatenate([schedule.before, schedule.frames[:count]])
@@ -182,7 +183,7 @@ def restoration(schedule: Schedule, count: int, master: int = 127) -> list[tuple
     for channel in np.unique(past["channel"]).tolist():
         there = past[past["channel"] == channel]
         told = [Frame(NMT_COB_ID, bytes((_COMMANDS[state], node)))
-                for node, state in sorted(nmt_states(there).items()) if node != master]
+                for node, state in sorted(nmt_states(there).items()) if node != MASTER]
         found += [(frame, channel) for frame in (*told, *_last_pdos(there))]
     return found
 

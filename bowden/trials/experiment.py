@@ -16,7 +16,7 @@ from bowden.bench import buses, configuration
 from bowden.bench.buses import BusSettings
 from bowden.model_files import Model
 from bowden.progress import SILENT, Progress
-from bowden.trials import provenance, session
+from bowden.trials import session
 from bowden.trials.recorded_trial import TemporaryFolder, Trial
 from parameters import InputError
 
@@ -70,17 +70,12 @@ class Experiment:
         desired = session.desired_file(desired)
         sections["walk"] = configuration.drawn(
             self._overridden(sections["walk"], _OF_WALK), bus.arguments.get("seed"))
-        reference, sections["gait"], notes = session.reference(
-            self._overridden(sections["gait"], _OF_GAIT), knee, desired, period_given=self.period_s is not None,
-            peak_given=self.peak_n is not None, walk=sections["walk"], rate_hz=sections["network"].rate_hz)
-        for note in notes:
-            progress.remark(note)
+        sections["gait"] = self._overridden(sections["gait"], _OF_GAIT)
         model = self.model if self.model is None else (
             Path(self.model) if isinstance(self.model, str | Path) else model_files.given(self.model))
-        return session.prepare(
-            sections, reference, model, bus, dry_run=self.dry_run,
-            knee=knee, files=provenance.curves(knee=knee, desired=desired),
-            script=None if self.name == GAIT else self.name)
+        return session.prepare_gait(
+            sections, model, bus, peak_given=self.peak_n is not None, period_given=self.period_s is not None, knee=knee,
+            desired=desired, dry_run=self.dry_run, script=None if self.name == GAIT else self.name, progress=progress)
 
     def _overridden(self, section: Any, names: tuple[str, ...]) -> Any:
         given = {name: getattr(self, name) for name in names}

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -112,13 +111,20 @@ class BusRecording:
             self._recorder.close({"outcome": "recorded", "frames": self._in_file, "channels": self._channels.names})
             self._recorder = None
 
-    def listen(self, bus: Any, seconds: float | None, frames: int | None) -> None:
-        """Take what `bus` gives until `seconds` of wall time or `frames` frames (None: until it is interrupted)."""
+    def listen(self, bus: Any, seconds: float | None, frames: int | None) -> str | None:
+        """Record what `bus` receives until `seconds` of wall time or `frames` frames (None: until it is interrupted).
+
+        A bus failure ends it; returns the failure in words, None without one.
+        """
         deadline = None if seconds is None else time.monotonic() + seconds
-        while (deadline is None or time.monotonic() < deadline) and (frames is None or self.frames < frames):
-            message = bus.recv(LOOK_S)
-            if message is not None:
-                self.take(message)
+        try:
+            while (deadline is None or time.monotonic() < deadline) and (frames is None or self.frames < frames):
+                message = bus.recv(LOOK_S)
+                if message is not None:
+                    self.take(message)
+        except (can.CanError, OSError) as error:
+            return str(error)
+        return None
 
     def close(self) -> None:
         """Write pending messages and close the file."""
@@ -157,6 +163,6 @@ def record(
     about = {name: str(bus.arguments.get(name) or "") for name in ("interface", "channel")}
     made = BusRecording(Path(output), wire(network), overwrite=overwrite, about={
         **about, "bitrate": str(network.bitrate)})
-    with buses.opened_one(bus, network.bitrate) as heard, made, suppress(can.CanError, OSError):
+    with buses.opened_one(bus, network.bitrate) as heard, made:
         made.listen(heard, seconds, frames)
     return made

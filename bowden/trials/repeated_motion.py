@@ -47,13 +47,10 @@ def refuse_beside(given: Path | None, experiment: str | None, others: Mapping[st
         raise InputError(f"--motion-of repeats a trial as it was; leave {', '.join(beside)} out.")
 
 
-def prepared(
-    given: Path, sections: Mapping[str, Any], chosen: BusSettings, allowed: str | None = None,
-) -> PreparedTrial:
+def prepared(given: Path, sections: Mapping[str, Any], chosen: BusSettings) -> PreparedTrial:
     """Return the experiment that repeats the motion of the trial `given` under today's `sections`.
 
-    `allowed`: the controller "module:Class" that may be imported because the trial names it.  Raises `InputError` for
-    a trial whose motion cannot be repeated.
+    Raises `InputError` for a trial whose motion cannot be repeated.
     """
     from bowden.trials import provenance, recorded, session
     from trial import read
@@ -61,7 +58,7 @@ def prepared(
     trial = read.open(given)
     if trial.metadata.get("dry_run") == "true" or (trial.result or {}).get("outcome") != "completed":
         raise InputError(f"{given}: --motion-of needs a trial that moved the bench to its end.")
-    setup = recorded.experiment(trial, allowed=allowed)
+    setup = recorded.experiment(trial)
     rate_hz = sections["network"].rate_hz
     if setup.walk.differs:
         raise InputError(f"{given}: its force follows strides that differ; --motion-of repeats a gait on the clock.")

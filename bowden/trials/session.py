@@ -232,6 +232,28 @@ def prepare(
                          script or "", controller.signals(kind, walking))
 
 
+def prepare_gait(
+    sections: Mapping[str, Any], calibration: Path | BenchModel | None, chosen: BusSettings, *, peak_given: bool,
+    period_given: bool, knee: Path | None = None, desired: Path | None = None, dry_run: bool = False,
+    controller_model: Path | BenchModel | None = None, script: str | None = None, progress: Progress = SILENT,
+) -> PreparedTrial:
+    """Join sections and the files of knee and desired force to a gait trial, with remarks on these files.
+
+    `peak_given`, `period_given`: the user chose them, so that a file does not.  Raises `InputError` as `prepare` does.
+    """
+    from bowden.trials import provenance
+
+    expected, gait, notes = reference(
+        sections["gait"], knee, desired, period_given=period_given, peak_given=peak_given, walk=sections["walk"],
+        rate_hz=sections["network"].rate_hz)
+    prepared = prepare(
+        {**sections, "gait": gait}, expected, calibration, chosen, dry_run=dry_run, controller_model=controller_model,
+        files=provenance.curves(knee=knee, desired=desired), script=script, knee=knee)
+    for note in notes:
+        progress.remark(note)
+    return prepared
+
+
 def _several_paths(
     sections: Mapping[str, Any], reference: Reference, calibration: Path | BenchModel | None,
     controller_model: Path | BenchModel | None, chosen: BusSettings, dry_run: bool, script: str | None,

@@ -42,7 +42,7 @@ def bench(
     arguments = Bus().chosen(simulated).arguments
     injected = () if faults is None else servable(faults)
     network = configuration.with_monitor(configuration.read(config)["network"], monitor)
-    session.compile_laws(simulated=True, progress=terminal.Terminal())
+    session.compile_laws(simulated=True, progress=terminal.TERMINAL)
     with buses.opened_one(chosen, bitrate or network.bitrate) as real:
         made = {**arguments, **buses.simulating(network), "bitrate": bitrate or network.bitrate,
                 "rate_hz": rate or network.rate_hz, "faults": injected}

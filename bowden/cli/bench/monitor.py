@@ -6,19 +6,18 @@ import json as json_text
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from contextlib import closing
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import Bus, argument, option
+from bowden.cli.options import Bus, OutputFile, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from bowden.bench.buses import BusSettings
     from bowden.trials.recording import BusRecording
     from eds.dictionary import Dictionary
 
@@ -38,8 +37,10 @@ def monitor(
     seconds: Annotated[float | None, option(
         "Time to listen (default: until Ctrl-C; simulated: 1 s).", "--for", metavar="S", min=0.0)] = None,
     table: Annotated[bool, option("Only the table of rates and load, at the end.", "--table")] = False,
-    dbc: Annotated[Path | None, option("Write the PDOs' layout as DBC.", "--dbc", metavar="FILE")] = None,
-    mf4: Annotated[Path | None, option("Write the PDOs' values as MF4.", "--mf4", metavar="FILE")] = None,
+    dbc: Annotated[Path | None, option("Write the PDOs' layout as DBC.", "--dbc", metavar="FILE"),
+                   OutputFile("a layout of PDOs", (".dbc",))] = None,
+    mf4: Annotated[Path | None, option("Write the PDOs' values as MF4.", "--mf4", metavar="FILE"),
+                   OutputFile("a recording of values", (".mf4",))] = None,
     overwrite: options.Overwrite = False,
 ) -> CommandAnswer | int:
     """Show each frame of a bus or of a file in words.
@@ -49,6 +50,7 @@ def monitor(
 
     Example: bowden monitor --for 0.2 --only sdo,pdo,emcy
     """
+    from bowden.bench import buses
     from eds.bench.bench_network import wire
     from eds.bench.bus_load import frame_bits
     from master.node_access.frame_words import FrameReader, FrameWords, of_wire
@@ -57,35 +59,35 @@ def monitor(
     network = reached.network()
     kinds, wanted = _kinds(only), _nodes(nodes)
     reader = FrameReader(_dictionaries(eds)) if eds else of_wire(wire(network))
-    output_files.refuse([dbc, mf4], overwrite=overwrite, inputs=[source])
-    output_files.refuse_ending(dbc, ".dbc", what="a layout of PDOs")
-    output_files.refuse_ending(mf4, ".mf4", what="a recording of values")
     if dbc is not None:
         terminal.remark(f"{dbc}: {write_dbc(reader, dbc, overwrite=overwrite)} PDOs.")
     recording = SignalRecording(reader)
     counts: Counter[int] = Counter()
     names: dict[int, str] = {}
-    bits, first_ns, last_ns, lost = 0, None, 0, 0
-    chosen = None if source is not None else reached.configured()
-    for can_id, data, time_ns, special, dropped in _frames(source, chosen, network.bitrate, seconds):
-        lost = dropped
-        if special == "lost":
-            continue
-        words = FrameWords("other", 0, special) if special else reader.read(can_id, data)
-        first_ns, last_ns = time_ns if first_ns is None else first_ns, time_ns
-        counts[can_id] += 1
-        if mf4 is not None and not special:
-            recording.take(time_ns, can_id, data)
-        names.setdefault(can_id, words.text.partition(":")[0] if words.kind == "pdo" else words.kind)
-        bits += frame_bits(len(data))
-        if table or words.kind not in kinds or (wanted and words.node_id not in wanted):
-            continue
-        if terminal.quiet():
-            print(json_text.dumps({"time_ns": time_ns, "can_id": can_id, "data": data.hex(), **words._asdict()},
-                                  ensure_ascii=False))
-        else:
-            node = f"{words.node_id:3}" if words.node_id else "   "
-            print(f"{(time_ns - first_ns) / 1e9:12.6f}  {can_id:03X}  {node}  {words.text}")
+    bits, first_ns, last_ns = 0, None, 0
+    with ExitStack() as opened:
+        chosen = None if source is not None else reached.configured()
+        bus = None if chosen is None else opened.enter_context(buses.opened_one(chosen, network.bitrate))
+        if seconds is None and chosen is not None and chosen.simulated:
+            seconds = 1.0
+        for frame in _of_bus(bus, seconds) if source is None else _of_file(source):
+            special = frame.in_words()
+            words = FrameWords("other", 0, special) if special else reader.read(frame.can_id, frame.data)
+            first_ns, last_ns = frame.time_ns if first_ns is None else first_ns, frame.time_ns
+            counts[frame.can_id] += 1
+            if mf4 is not None and not special:
+                recording.take(frame.time_ns, frame.can_id, frame.data)
+            names.setdefault(frame.can_id, words.text.partition(":")[0] if words.kind == "pdo" else words.kind)
+            bits += frame_bits(len(frame.data))
+            if table or words.kind not in kinds or (wanted and words.node_id not in wanted):
+                continue
+            if terminal.quiet():
+                print(json_text.dumps({"time_ns": frame.time_ns, "can_id": frame.can_id, "data": frame.data.hex(),
+                                       **words._asdict()}, ensure_ascii=False))
+            else:
+                node = f"{words.node_id:3}" if words.node_id else "   "
+                print(f"{(frame.time_ns - first_ns) / 1e9:12.6f}  {frame.can_id:03X}  {node}  {words.text}")
+        lost = getattr(bus, "lost", 0)
     span_s = max((last_ns - (first_ns or 0)) / 1e9, 1e-9)
     if mf4 is not None:
         terminal.remark(f"{mf4}: values of {recording.write(mf4, overwrite=overwrite)} PDOs.")
@@ -102,94 +104,88 @@ def monitor(
         f"{sum(counts.values())} frames in {span_s:.3f} s, {load:.1f} % of the bus at most."])
 
 
-def _frames(source: Path | None, chosen: BusSettings | None, bitrate: int,
-            seconds: float | None) -> Iterator[tuple[int, bytes, int, str, int]]:
-    """Yield identifier, data, time (ns), words for a frame that is no plain data frame, and frames lost so far."""
-    from bowden.bench import buses
-    from master.network.link import FAILURES, stamp_ns
+class MonitoredFrame(NamedTuple):
+    """A frame of a bus or a file; `flags` are those of `trial.mcap_file.cdr`."""
 
-    if source is not None:
-        yield from _of_file(source)
-        return
-    assert chosen is not None
-    if seconds is None and chosen.simulated:
-        seconds = 1.0
-    with buses.opened_one(chosen, bitrate) as bus:
-        clock = buses.clock_of(bus)
-        end_ns = None if seconds is None else clock() + round(seconds * 1e9)
-        while end_ns is None or clock() < end_ns:
-            try:
-                message = bus.recv(1.0 if end_ns is None else max(0.0, (end_ns - clock()) / 1e9))
-            except FAILURES as error:
-                raise InputError(f"bus: {error}; see bowden doctor.") from None
-            if message is not None:
-                yield (message.arbitration_id, bytes(message.data), stamp_ns(message), _special(message),
-                       getattr(bus, "lost", 0))
-        yield 0, b"", 0, "lost", getattr(bus, "lost", 0)
+    time_ns: int
+    can_id: int
+    flags: int
+    dlc: int
+    data: bytes
+
+    def in_words(self) -> str:
+        """Describe a frame that is no data frame of the base format; "" for one that is."""
+        from trial.mcap_file import cdr
+
+        if self.flags & cdr.ERROR:
+            from eds.error_frames import decode
+
+            return f"error frame: {decode(self.can_id, self.data)}"
+        if self.flags & cdr.REMOTE:
+            return f"remote request of {self.dlc} bytes"
+        return f"extended identifier: {self.data.hex(' ')}" if self.flags & cdr.EXTENDED else ""
 
 
-def _of_file(source: Path) -> Iterator[tuple[int, bytes, int, str, int]]:
-    """Yield the frames of a recorded file as `_frames` does; `-` is candump's output on standard input."""
+def _of_message(message: Any) -> MonitoredFrame:
     from master.network.link import stamp_ns
+    from trial.convert.python_can import flags_of
 
+    return MonitoredFrame(stamp_ns(message), message.arbitration_id, flags_of(message), message.dlc,
+                          bytes(message.data or b""))
+
+
+def _of_bus(bus: Any, seconds: float | None) -> Iterator[MonitoredFrame]:
+    """Yield the frames that a bus receives for so many seconds, or until Ctrl-C."""
+    from bowden.bench import buses
+    from master.network.link import FAILURES
+
+    clock = buses.clock_of(bus)
+    end_ns = None if seconds is None else clock() + round(seconds * 1e9)
+    while end_ns is None or clock() < end_ns:
+        try:
+            message = bus.recv(1.0 if end_ns is None else max(0.0, (end_ns - clock()) / 1e9))
+        except FAILURES as error:
+            raise InputError(f"bus: {error}; see bowden doctor.") from None
+        if message is not None:
+            yield _of_message(message)
+
+
+def _of_file(source: Path) -> Iterator[MonitoredFrame]:
+    """Yield the frames of a recorded file; `-` is candump's output on standard input."""
     if str(source) == "-":
-        yield from _dumped(sys.stdin, "-")
+        yield from _of_candump(sys.stdin, "-")
     elif not source.is_file():
         raise InputError(f"{source}: no such file; give a trial (.mcap), a CAN log (.log, .asc, .blf), or - for "
                          "candump's lines on standard input.")
     elif source.suffix.lower() in (".log", ".txt"):
         with source.open(encoding="utf-8", errors="replace") as lines:
-            yield from _dumped(lines, str(source))
+            yield from _of_candump(lines, str(source))
     else:
-        for message in _recorded(source):
-            yield message.arbitration_id, bytes(message.data or b""), stamp_ns(message), _special(message), 0
+        yield from _of_log(source)
 
 
-def _dumped(lines: Iterable[str], name: str) -> Iterator[tuple[int, bytes, int, str, int]]:
+def _of_candump(lines: Iterable[str], name: str) -> Iterator[MonitoredFrame]:
     """Yield the frames of candump's lines; a line without a time counts as at 0."""
     from trial.convert import candump
-    from trial.mcap_file import cdr
 
     for frame in candump.each(lines, name):
-        special = _special_of(frame.can_id, frame.payload, frame.dlc, error=frame.flags & cdr.ERROR != 0,
-                              remote=frame.flags & cdr.REMOTE != 0, extended=frame.flags & cdr.EXTENDED != 0)
-        yield frame.can_id, frame.payload, frame.time_ns or 0, special, 0
+        yield MonitoredFrame(frame.time_ns or 0, frame.can_id, frame.flags, frame.dlc, frame.payload)
 
 
-def _recorded(source: Path) -> Iterator[Any]:
+def _of_log(source: Path) -> Iterator[MonitoredFrame]:
+    """Yield the frames of a file that python-can reads."""
     import can
 
     try:
-        with closing(_reader(source)) as reader:
-            yield from reader
+        reader = can.LogReader(source)
+        try:
+            yield from map(_of_message, reader)
+        finally:
+            reader.stop()
     except InputError:
         raise
     except (can.CanError, OSError, ValueError, EOFError, KeyError, IndexError):
         raise InputError(f"{source}: is no CAN log of its ending; give .mcap, .log, .asc or .blf.") from None
-
-
-def _reader(source: Path) -> Any:
-    import can
-
-    reader: Any = can.LogReader(source)
-    reader.close = reader.stop
-    return reader
-
-
-def _special(message: Any) -> str:
-    return _special_of(message.arbitration_id, bytes(message.data or b""), message.dlc, error=message.is_error_frame,
-                       remote=message.is_remote_frame, extended=message.is_extended_id)
-
-
-def _special_of(can_id: int, data: bytes, dlc: int, *, error: bool, remote: bool, extended: bool) -> str:
-    """Return in words what a frame is that is no data frame of the base format; "" for one that is."""
-    if error:
-        from eds.error_frames import decode
-
-        return f"error frame: {decode(can_id, data)}"
-    if remote:
-        return f"remote request of {dlc} bytes"
-    return f"extended identifier: {data.hex(' ')}" if extended else ""
 
 
 def _dictionaries(given: list[str]) -> dict[int, Dictionary]:
@@ -237,8 +233,6 @@ def record(
 
     Example: bowden record --interface virtual --channel bench --for 1 -o bus.mcap
     """
-    import can
-
     from bowden.bench import buses
     from bowden.trials.recording import BusRecording
     from eds.bench.bench_network import wire
@@ -250,13 +244,10 @@ def record(
         "interface": interface, "channel": channel or "", "bitrate": str(bitrate or network.bitrate)},
         max_bytes=None if max_size is None else round(max_size * 1e6),
         max_ns=None if max_time is None else round(max_time * 1e9))
-    failure = None
     with buses.opened_one(chosen, network.bitrate) as heard, made:
         terminal.remark(f"recording {interface} {channel or ''}; Ctrl-C ends it.")
         try:
-            made.listen(heard, seconds, frames)
-        except (can.CanError, OSError) as error:
-            failure = str(error)
+            failure = made.listen(heard, seconds, frames)
         except KeyboardInterrupt:
             made.close()
             terminal.show(_answer(made, None))

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bowden import output_files
 from bowden.cli import options
 from bowden.cli.app import CommandGroup, NothingGivenError, app
-from bowden.cli.options import Bus, argument, option
+from bowden.cli.options import Bus, OutputFile, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
@@ -76,8 +75,9 @@ def info(name: Name, reached: Bus, eds: Eds = None) -> CommandAnswer:
 @node.command()
 def read(
     name: Name, place: ObjectOf, reached: Bus, eds: Eds = None, type: Type = None,
-    output: Annotated[Path | None, option("File for the bytes.", "-o", "--output", metavar="FILE")] = None,
-    overwrite: options.Overwrite = False, block: Block = False,
+    output: Annotated[
+        Path | None, option("File for the bytes.", "-o", "--output", metavar="FILE"), OutputFile()] = None,
+    block: Block = False,
 ) -> CommandAnswer:
     """Read one object, typed by the EDS or by --type.
 
@@ -85,8 +85,6 @@ def read(
     """
     from master.node_access import object_text
 
-    if output is not None:
-        output_files.refuse([output], overwrite=overwrite)
     with _node(name, reached, eds) as one:
         at = one.find(place)
         kind = one.kind(at, type)
@@ -338,12 +336,9 @@ def emcy(
 
 @node.command()
 def backup(
-    name: Name,
-    output: options.Output,
-    reached: Bus,
-    eds: Eds = None,
-    concise: Annotated[Path | None, option("Write them as concise DCF (1F22), too.", metavar="FILE")] = None,
-    overwrite: options.Overwrite = False,
+    name: Name, output: Annotated[options.Output, OutputFile("a node's parameters", (".dcf",))], reached: Bus,
+    eds: Eds = None, concise: Annotated[Path | None, option(
+        "Write them as concise DCF (1F22), too.", metavar="FILE"), OutputFile()] = None,
 ) -> CommandAnswer:
     """Read a node's parameters and PDO settings and write them as DCF.
 
@@ -352,8 +347,6 @@ def backup(
     from eds.dictionary import read as read_dcf
     from master.node_access import dcf
 
-    output_files.refuse([output, concise], overwrite=overwrite)
-    output_files.refuse_ending(output, ".dcf", what="a node's parameters")
     with _described(name, reached, eds) as (link, entry):
         dcf.refuse_other(link, entry, entry.dictionary, entry.dictionary.path)
         unread: list[str] = []

@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.bench.node import Eds, Force, Name, node, node_id_of, refuse_other_master
 from bowden.cli.options import Bus, argument, option
@@ -182,7 +181,6 @@ def export(
     from eds.files import bus_yml
     from master.node_access import bus_setup, node_scan
 
-    output_files.refuse([output], overwrite=overwrite)
     files = node_scan.files_of(eds)
     with reached.linked() as link:
         devices = [bus_setup.described(link, one) for one in node_scan.scan(link, files)]

@@ -11,10 +11,9 @@ from typing import Annotated, Any
 
 import typer
 
-from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import CommandGroup, app
-from bowden.cli.options import Bus, SimulatedOptions, argument, option
+from bowden.cli.options import Bus, OutputFile, SimulatedOptions, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError, declarations
 from parameters.files import write_whole
@@ -28,11 +27,11 @@ ConfigFile = Annotated[Path, argument("FILE", "bench.toml.")]
 
 @app.command()
 def init(
-    output: Annotated[Path, option("File to write.", "-o", "--output", metavar="FILE")] = Path("bench.toml"),
+    output: Annotated[Path, option("File to write.", "-o", "--output", metavar="FILE"),
+                      OutputFile("a configuration", (".toml",))] = Path("bench.toml"),
     shape: Annotated[str, option(
         "Packaged declaration: bench, bench_start_only (no END load cell), bench_no_knee_drive, bench_antagonists (two "
         "ropes on a joint), bench_two_legs.", metavar="NAME")] = "bench",
-    overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Write a commented bench.toml.
 
@@ -43,8 +42,6 @@ def init(
     """
     from bowden.bench import configuration
 
-    output_files.refuse([output], overwrite=overwrite)
-    output_files.refuse_ending(output, ".toml", what="a configuration")
     configuration.as_template(shape=shape)
     told = _asked(configuration.declaration("record")) if sys.stdin.isatty() else {}
     write_whole(output, configuration.as_template(told, shape), overwrite=True)
@@ -202,8 +199,7 @@ def doctor(
     soak: Annotated[float | None, option(
         "Instead, measure wake-ups and SDO round trips for so many minutes.", metavar="MINUTES", min=0.0)] = None,
     output: Annotated[Path | None, option(
-        "With --soak: the report, Markdown.", "-o", "--output", metavar="FILE")] = None,
-    overwrite: options.Overwrite = False,
+        "With --soak: the report, Markdown.", "-o", "--output", metavar="FILE"), OutputFile()] = None,
 ) -> CommandAnswer:
     """Check the bench; name the commands to type.
 
@@ -214,10 +210,10 @@ def doctor(
     if compiles:
         from bowden.trials import session
 
-        session.compile_laws(simulated=True, progress=terminal.Terminal())
+        session.compile_laws(simulated=True, progress=terminal.TERMINAL)
         return CommandAnswer({"compiled": True}, "The laws are compiled.")
     if soak is not None:
-        return _soak(reached, soak, output, overwrite=overwrite)
+        return _soak(reached, soak, output)
     if output is not None:
         raise InputError(f"-o {output}: is the report of a soak; add --soak MINUTES.")
     from bowden.bench import configuration, examination
@@ -243,13 +239,12 @@ def doctor(
         "safety_functions": configuration.held_as_objects(held)}, words, 1 if faults else 0)
 
 
-def _soak(reached: Bus, minutes: float, output: Path | None, *, overwrite: bool) -> CommandAnswer:
+def _soak(reached: Bus, minutes: float, output: Path | None) -> CommandAnswer:
     """Soak the bus and print or write the report; 1 where no node answered or the bus had errors."""
     from bowden.bench import examination
     from master.network.host_computer import prepared
     from master.node_access.node_scan import scan
 
-    output_files.refuse([output], overwrite=overwrite)
     with reached.linked() as link, ending.interrupted() as ended, prepared() as refused:
         nodes = [one.node_id for one in scan(link, []) if one.identity is not None]
         figures = examination.soak(link, nodes, minutes, ended)

@@ -106,7 +106,7 @@ def _follow_bus(reached: Bus, web: str, over: Callable[[], bool]) -> int:
 
 Written = Annotated[Path | None, argument("TRIAL", "Trial that is being written, by bowden trial or bowden record.")]
 Recording = Annotated[Path | None, option(
-    "With --interface: where the bus is recorded.", "-o", "--output", metavar="FILE")]
+    "With --interface: where the bus is recorded.", "-o", "--output", metavar="FILE"), options.Recording]
 Book = Annotated[Path | None, option(
     "Logbook of the bench, in place of --healthy and for the scatter between sessions.", metavar="DIR")]
 LOOK_S = 0.1
@@ -169,8 +169,6 @@ def _looked(watched: FileWatch, ended: Callable[[], bool]) -> Iterator[WatchVerd
 def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float | None, *, overwrite: bool
          ) -> CommandAnswer:
     """Record the bus in this process, and watch the recording in another one."""
-    import can
-
     from bowden.bench import buses
     from bowden.trials.recording import BusRecording
     from bowden.watch import watch_process
@@ -178,8 +176,6 @@ def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float 
 
     if output is None:
         raise InputError("a watch records the bus that it watches; name the file with -o FILE.")
-    output_files.refuse_ending(output, ".mcap", what="a recording")
-    output_files.refuse([output], overwrite=overwrite)
     network = reached.network()
     about = {"interface": str(reached.interface), "channel": reached.channel or ""}
     failure = None
@@ -188,9 +184,7 @@ def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float 
         with BusRecording(output, wire(network), overwrite=overwrite, about=about) as made:
             terminal.remark(f"watching {reached.interface} {reached.channel or ''}; Ctrl-C ends it.")
             try:
-                made.listen(heard, seconds, None)
-            except (can.CanError, OSError) as error:
-                failure = str(error)
+                failure = made.listen(heard, seconds, None)
             except KeyboardInterrupt:
                 terminal.remark("ended; the whole recording is diagnosed.")
         watched.ended("recorded")

@@ -3,16 +3,14 @@
 
 from __future__ import annotations
 
-import textwrap
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import NothingGivenError, app
-from bowden.cli.options import argument, option
+from bowden.cli.options import OutputFile, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
@@ -25,8 +23,9 @@ if TYPE_CHECKING:
 Trials = Annotated[list[Path] | None, argument("TRIAL…", "MCAP, or CSV (.gz) with canonical headers.")]
 Holdout = Annotated[list[Path] | None, option("Never fitted, only judged; repeatable.", metavar="TRIAL")]
 Extended = Annotated[Path | None, option(
-    "extended.toml: named effects, for --plant-model and --controller-model.", "-o", "--output", metavar="FILE")]
-Report = Annotated[Path | None, option("One HTML page that needs no network.", metavar="FILE")]
+    "extended.toml: named effects, for --plant-model and --controller-model.", "-o", "--output", metavar="FILE"),
+    OutputFile("what was found", (".toml",))]
+Report = Annotated[Path | None, option("One HTML page that needs no network.", metavar="FILE"), options.Page]
 Figures = Annotated[Path | None, option("Folder for pictures (PNG) and tables (CSV).", metavar="DIR")]
 Tracked = Annotated[tuple[Path, Path] | None, option(
     "With --report: the two trials of bowden verify, shown in it.", metavar="BEFORE AFTER")]
@@ -46,8 +45,6 @@ READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
 """Shares of the diagnosis that are complete when reading, searching and writing begin."""
 ENTERED = ("verdict", "causes", "class", "experiment")
 """Keys of a diagnosis that the logbook stores."""
-WIDTH = 80
-"""Greatest width of a line outside tables, columns of the terminal."""
 
 
 @app.command()
@@ -68,7 +65,6 @@ def diagnose(
 
     Example: bowden diagnose trial.mcap --healthy good.mcap -o extended.toml --report diagnosis.html
     """
-    from bowden.trials import force_paths
     from physics.effects import own_effects
 
     asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
@@ -82,44 +78,41 @@ def diagnose(
     own = own_effects.read_each(effects or [])
     if each:
         return _each(chosen, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers))
-    output_files.refuse([output, report], overwrite=overwrite, inputs=[
-        *chosen, *(healthy or ()), *(holdout or ()), calibration, *(tracked or ())])
-    output_files.refuse_ending(report, ".html", ".htm", what="a page")
-    output_files.refuse_ending(output, ".toml", what="what was found")
-    if figures is not None:
-        from diagnosis.report import figure_export
+    from bowden.models import diagnosing, logbook_entries
+    from bowden.trials import force_paths
+    from diagnosis import extension
+    from diagnosis.finder import Finder
+    from diagnosis.report import diagnosis_page, figure_export
 
+    if figures is not None:
         figure_export.refuse(figures, overwrite=overwrite)
-    deviations: dict[str, float] | None = None
+    references, deviations = logbook_entries.reference_trials(logbook, healthy, chosen if logbook else ())
     if logbook is not None:
-        healthy, deviations = _of_logbook(logbook, healthy, chosen)
         path = _path_of(logbook, path)
     began = time.perf_counter()
     if path is not None and calibration is not None:
         calibration = force_paths.file_of(calibration, path)
     with terminal.progress("diagnosing") as step:
-        found = _diagnosed(chosen, path, calibration, healthy or [], holdout or [], lowpass, output, report, tracked,
-                           step, figures, deviations, overwrite=overwrite, terms=terms, own=own)
+        trial_tables, reference_tables, holdout_tables = _read((chosen, references, holdout or []), path, step)
+        step(READING, "fitting the healthy trials" if references else "preparing")
+        finder = Finder(calibration, lowpass, deviations, own).examine(reference_tables)
+        step(SEARCHING, "fitting the effects, cycle by cycle")
+        found = diagnosing.on_its_footing(finder.diagnose(trial_tables, holdout_tables, terms=terms), chosen, path,
+                                          measured=bool(calibration or references))
+        step(WRITING, "writing")
+        if found.verdict != "refused":
+            if output is not None:
+                write_whole(output, extension.text(found, trial_tables), overwrite=True)
+            if report is not None:
+                diagnosis_page.write(found, trial_tables, holdout_tables, report, tracked)
+            if figures is not None:
+                figure_export.write(found, figures, overwrite=overwrite)
     result = found.as_json() | ({} if path is None else {"path": path}) | {"seconds": time.perf_counter() - began}
     if logbook is not None and found.verdict != "refused":
-        from bowden.models import logbook_entries
-
         kept: dict[str, Any] = {name: result[name] for name in ENTERED if name in result}
         for trial in chosen:
             logbook_entries.add_verdict(logbook, trial, kept)
     return CommandAnswer(result, lambda: _tell(found, result), 2 if found.verdict == "refused" else 0)
-
-
-def _of_logbook(logbook: Path, healthy: list[Path] | None, trials: list[Path]
-                ) -> tuple[list[Path] | None, dict[str, float] | None]:
-    """Return reference trials, the logbook's where none are given, and its deviations between sessions."""
-    from bowden.models import logbook_entries
-    from logbook.database import refuse_no_logbook
-
-    refuse_no_logbook(logbook)
-    found, deviations = logbook_entries.reference_trials(logbook, healthy)
-    same = {trial.resolve() for trial in trials}
-    return [path for path in found if path.resolve() not in same], deviations
 
 
 def _path_of(logbook: Path, path: str | None) -> str | None:
@@ -181,51 +174,27 @@ def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
     for trial, one in told.items():
         print(f"{trial}: {one['verdict']}")
         for cause in one["causes"]:
-            _say(f"{cause['effect']}: {_parameters(cause['parameters'])}", "    ")
+            terminal.sentence(f"{cause['effect']}: {_parameters(cause['parameters'])}", "    ")
         if one.get("candidates"):
-            _say("no cause named: it ran on the packaged nominal calibration; run bowden identify first", "    ")
+            terminal.sentence(
+                "no cause named: it ran on the packaged nominal calibration; run bowden identify first", "    ")
         if len(one["class"]) > len(one["causes"]):
-            _say(f"cannot be told apart: {', '.join(one['class'])}", "    ")
+            terminal.sentence(f"cannot be told apart: {', '.join(one['class'])}", "    ")
         todo = one["warnings"][0] if one["verdict"] == "refused" else one["experiment"]
         if todo:
-            _say(f"why not: {todo}" if one["verdict"] == "refused" else f"next: {todo}", "    ")
+            terminal.sentence(f"why not: {todo}" if one["verdict"] == "refused" else f"next: {todo}", "    ")
 
 
-def _diagnosed(
-    trials: list[Path], path: str | None, calibration: Path | None, healthy: list[Path], holdout: list[Path],
-    lowpass: float | None, output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None,
-    step: Callable[[float, str], None], figures: Path | None, deviations: dict[str, float] | None, *, overwrite: bool,
-    terms: bool, own: Sequence[str] = (),
-) -> Findings:
-    """Diagnose, and write the requested files; a refused diagnosis writes nothing."""
-    from bowden.models import diagnosing
-    from diagnosis import extension
-    from diagnosis.finder import Finder
+def _read(groups: Sequence[Sequence[Path]], path: str | None, step: Callable[[float, str], None]) -> list[list[Table]]:
+    """Return the tables of each group of files."""
+    from bowden.models.diagnosing import table_of
 
-    groups: list[list[Table]] = [[], [], []]
-    files = [(group, file) for group, files in enumerate((trials, healthy, holdout)) for file in files]
+    tables: list[list[Table]] = [[] for _ in groups]
+    files = [(group, file) for group, files in enumerate(groups) for file in files]
     for done, (group, file) in enumerate(files):
         step(READING * done / len(files), f"reading {file.name}")
-        groups[group].append(diagnosing.table_of(file, path))
-    step(READING, "fitting the healthy trials" if healthy else "preparing")
-    finder = Finder(calibration, lowpass, deviations, own).examine(groups[1])
-    step(SEARCHING, "fitting the effects, cycle by cycle")
-    found = finder.diagnose(groups[0], groups[2], terms=terms)
-    found = diagnosing.on_its_footing(found, trials, path, measured=bool(calibration or healthy))
-    step(WRITING, "writing")
-    if found.verdict == "refused":
-        return found
-    if output is not None:
-        write_whole(output, extension.text(found, groups[0]), overwrite=True)
-    if report is not None:
-        from diagnosis.report import diagnosis_page
-
-        diagnosis_page.write(found, groups[0], groups[2], report, tracked)
-    if figures is not None:
-        from diagnosis.report import figure_export
-
-        figure_export.write(found, figures, overwrite=overwrite)
-    return found
+        tables[group].append(table_of(file, path))
+    return tables
 
 
 def _tell(found: Findings, result: dict[str, Any]) -> None:
@@ -234,7 +203,7 @@ def _tell(found: Findings, result: dict[str, Any]) -> None:
     if "path" in result:
         print(f"Path {result['path']}.")
     for sentence in headline(found):
-        _say(sentence)
+        terminal.sentence(sentence)
     if not found.candidates:
         print(f"\nVerdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
     _tell_signals(result["relations"])
@@ -244,7 +213,7 @@ def _tell(found: Findings, result: dict[str, Any]) -> None:
             (name, f"{one['from']:.4g}", f"{one['to']:.4g}", f"{one['low']:.4g} … {one['high']:.4g}", one["unit"])
             for name, one in shifts.items()])
     for warning in found.warnings:
-        _say(f"Warning: {warning}")
+        terminal.sentence(f"Warning: {warning}")
 
 
 def _tell_signals(signals: dict[str, Any]) -> None:
@@ -256,20 +225,15 @@ def _tell_signals(signals: dict[str, Any]) -> None:
         "signal", "unit", "floor", "reference", "session", "named", "gain (%)"), [
         (name, row["unit"], figure(row["floor"], 4), figure(row["rmse_before"], 4), figure(row["rmse_session"], 4),
          figure(row["rmse_after"], 4), figure(row["gain_percent"], 1)) for name, row in signals.items()])
-    _say("floor: what reference trials miss of each other; reference: the reference condition's model; session: with "
-         "this session's constants adapted; named: with the named effects, too; gain: of named over session.")
+    terminal.sentence(
+        "floor: what reference trials miss of each other; reference: the reference condition's model; session: with "
+        "this session's constants adapted; named: with the named effects, too; gain: of named over session.")
     held = {name: row for name, row in signals.items() if row["holdout_before"] is not None}
     if held:
         terminal.table("on the trials held out, to which nothing was fitted", (
             "signal", "unit", "reference", "session", "named"), [
             (name, row["unit"], *(figure(row[f"holdout_{which}"], 4) for which in ("before", "session", "after")))
             for name, row in held.items()])
-
-
-def _say(sentence: str, indent: str = "") -> None:
-    """Print a sentence in lines of at most `WIDTH` columns."""
-    print(textwrap.fill(sentence, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False,
-                        break_on_hyphens=False))
 
 
 def _parameters(parameters: dict[str, Any]) -> str:
@@ -292,8 +256,8 @@ def _tell_plan(name: str, found: Plan) -> None:
          f"{limit.likely[0]:.3g} … {limit.likely[1]:.3g}", limit.signal or "–") for limit in found.limits])
     for limit in found.limits:
         if limit.like:
-            _say(f"{limit.effect} looks like {', '.join(limit.like)}.")
+            terminal.sentence(f"{limit.effect} looks like {', '.join(limit.like)}.")
     if found.blind:
-        _say(f"Not seen by any signal: {', '.join(found.blind)}.")
+        terminal.sentence(f"Not seen by any signal: {', '.join(found.blind)}.")
     terminal.table("signals", ("signal", "unit", "floor"), [
         (name, row["unit"], f"{row['floor']:.3g}") for name, row in found.signals.items()])

@@ -12,7 +12,7 @@ import typer
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import Bus, SimulatedOptions, argument, option
+from bowden.cli.options import Bus, OutputFile, SimulatedOptions, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError, declarations
 from parameters.files import write_whole
@@ -25,13 +25,14 @@ if TYPE_CHECKING:
 
 HealthyTrials = Annotated[list[Path], argument(
     "TRIAL…", "Healthy trials of one bench: MCAP, or CSV (.gz) with canonical headers.")]
-FittedModel = Annotated[Path, option("model.toml to write.", "-o", "--output", metavar="FILE")]
+FittedModel = Annotated[Path, option("model.toml to write.", "-o", "--output", metavar="FILE"),
+                        OutputFile("a bench model", (".toml",))]
 
 
 @app.command()
 def fit(
     trials: HealthyTrials, output: FittedModel, path: options.ForcePath = None, lowpass: options.Lowpass = None,
-    logbook: options.Logbook = None, overwrite: options.Overwrite = False,
+    logbook: options.Logbook = None,
 ) -> CommandAnswer:
     """Fit calibration and simulation of a bench, from its healthy trials.
 
@@ -46,8 +47,6 @@ def fit(
     from logbook.database import refuse_no_logbook
 
     refuse_no_logbook(logbook)
-    output_files.refuse([output], overwrite=overwrite, inputs=trials)
-    output_files.refuse_ending(output, ".toml", what="a bench model")
     with terminal.waiting("fitting"):
         found = bench_fit.fit([table_of(file, path) for file in trials], lowpass)
     write_whole(output, found.text(), overwrite=True)
@@ -92,19 +91,21 @@ def _tell_bench(found: FittedBench) -> None:
         for name, row in found.figures.items()])
 
 
+NewCalibration = Annotated[options.Output, OutputFile("a calibration", (".toml",))]
 What = Annotated[str, typer.Argument(
     metavar="WHAT", help="stiffness, swing, friction, sensors, gait (on a calibration) or all.")]
 Guess = Annotated[Path | None, option("Calibration to start from.", "--calibration", metavar="FILE")]
 From = Annotated[list[Path] | None, option(
     "Fit recorded experiments in place of measuring; repeatable.", "--from", metavar="TRIAL")]
-Picture = Annotated[Path | None, option("Draw the paper's Figs. 9 and 10 (png, svg, pdf).", metavar="FILE")]
+Picture = Annotated[Path | None, option("Draw the paper's Figs. 9 and 10 (png, svg, pdf).", metavar="FILE"),
+                    options.PictureFile]
 NoGait = Annotated[bool, option(
     "Leave out the gait trials that end identify all: the calibration has no discrepancy then.", "--no-gait")]
 
 
 @app.command()
 def identify(
-    what: What, output: options.Output, calibration: Guess = None, recorded: From = None, picture: Picture = None, *,
+    what: What, output: NewCalibration, calibration: Guess = None, recorded: From = None, picture: Picture = None, *,
     no_gait: NoGait = False, rate: options.Rate = None, simulated: SimulatedOptions, reached: Bus,
     logbook: options.Logbook = None, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
@@ -123,8 +124,6 @@ def identify(
     refuse_no_logbook(logbook)
     if picture is not None and what in ("sensors", "gait"):
         raise InputError(f"--picture {picture}: identify {what} measures no loop of Figs. 9 and 10; leave it out.")
-    output_files.refuse_ending(output, ".toml", what="a calibration")
-    output_files.refuse_picture(picture)
     today = datetime.date.today().isoformat()
     if recorded:
         for name, value in {"no-gait": no_gait or None, "rate": rate, **reached._asdict(),
@@ -132,21 +131,19 @@ def identify(
             if value is not None:
                 raise InputError(
                     f"--{name.replace('_', '-')} belongs to measuring a bench; leave it out with --from.")
-        output_files.refuse([output, picture], overwrite=overwrite, inputs=[*recorded, calibration])
-        again = identification.again(what, recorded, calibration, date=today, progress=terminal.Terminal())
+        again = identification.again(what, recorded, calibration, date=today, progress=terminal.TERMINAL)
         return _written([again], output, ", ".join(map(str, recorded)), picture, logbook)
     sections = reached.sections(rate)
     logbook = session.entered(sections, logbook, reached.config)
     chosen = reached.chosen(simulated)
     recording = output.with_suffix(".mcap")
-    output_files.refuse([output, recording, picture], overwrite=overwrite, inputs=[
-        calibration, reached.config, simulated.plant_model])
+    output_files.refuse([recording], overwrite=overwrite, inputs=[calibration, reached.config, simulated.plant_model])
     paths = [path.name for path in sections["network"].bench.force_paths]
     if len(paths) > 1:
         output_files.refuse([file_of(output, path) for path in paths], overwrite=overwrite)
     found = identification.perform(
         what, sections, calibration, chosen, recording, date=today, gait=not no_gait, overwrite=overwrite,
-        progress=terminal.Terminal())
+        progress=terminal.TERMINAL)
     return _written(found, output, str(recording), picture, logbook, f"Bench: {chosen.told}")
 
 

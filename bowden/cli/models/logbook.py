@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import CommandGroup, app
-from bowden.cli.options import argument, option
+from bowden.cli.options import OutputFile, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
@@ -112,8 +112,9 @@ def show_bench(
 
 
 @logbook.command("report")
-def report_bench(folder: Folder, output: options.Output, limit: Limits = None,
-                 overwrite: options.Overwrite = False) -> CommandAnswer:
+def report_bench(
+    folder: Folder, output: Annotated[options.Output, options.Page], limit: Limits = None,
+) -> CommandAnswer:
     """Write the bench as one offline HTML page, alarms first.
 
     Example: bowden logbook init bench1 && bowden logbook report bench1 -o bench1.html
@@ -122,8 +123,7 @@ def report_bench(folder: Folder, output: options.Output, limit: Limits = None,
     from logbook import bench_page
     from logbook.database import FILE, open_logbook
 
-    output_files.refuse([output], overwrite=overwrite, inputs=[folder / FILE])
-    output_files.refuse_ending(output, ".html", ".htm", what="a page")
+    output_files.refuse([output], overwrite=True, inputs=[folder / FILE])
     with open_logbook(folder) as book:
         with terminal.waiting("diagnosing a change"):
             state = diagnosed_state(book, _limits(limit))
@@ -132,8 +132,10 @@ def report_bench(folder: Folder, output: options.Output, limit: Limits = None,
 
 
 @logbook.command("export")
-def export_logbook(folder: Folder, output: options.Output, table: Table = "trials",
-                   overwrite: options.Overwrite = False) -> CommandAnswer:
+def export_logbook(
+    folder: Folder, output: Annotated[options.Output, OutputFile("a table", (".csv", ".parquet"))],
+    table: Table = "trials",
+) -> CommandAnswer:
     """Write one table of a logbook as CSV or Parquet.
 
     Example: bowden logbook init bench1 && bowden logbook export bench1 --table constants -o constants.csv
@@ -141,8 +143,7 @@ def export_logbook(folder: Folder, output: options.Output, table: Table = "trial
     from logbook.bench_page import export_table
     from logbook.database import FILE, open_logbook
 
-    output_files.refuse([output], overwrite=overwrite, inputs=[folder / FILE])
-    output_files.refuse_ending(output, ".csv", ".parquet", what="a table")
+    output_files.refuse([output], overwrite=True, inputs=[folder / FILE])
     with open_logbook(folder) as book:
         rows = export_table(book, table, output)
     return CommandAnswer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import NothingGivenError, app
-from bowden.cli.options import BusAlone, SimulatedOptions, argument, option
+from bowden.cli.options import BusAlone, OutputFile, SimulatedOptions, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
@@ -49,10 +47,8 @@ def plan_experiment(
         if model is not None:
             found = experiment_plan.of_model(model)
         elif trials:
-            known, deviations = logbook_entries.reference_trials(logbook, healthy) if logbook else (healthy or [], None)
-            same = {path.resolve() for path in trials}
+            references, deviations = logbook_entries.reference_trials(logbook, healthy, trials)
             path = path or (logbook_entries.path_of(logbook) if logbook else None)
-            references = [p for p in known if p.resolve() not in same]
             found = experiment_plan.of_trials(trials, references, deviations, path)
         else:
             assert logbook is not None
@@ -90,19 +86,22 @@ def _tell_plan(found: ExperimentPlan, good: str) -> None:
 
 DiscoveredTrials = Annotated[list[Path] | None, argument("TRIAL…", "Trials of one session, MCAP or CSV.")]
 TermsFile = Annotated[Path | None, option(
-    "extended.toml with the terms, for --plant-model and --controller-model.", "-o", "--output", metavar="FILE")]
+    "extended.toml with the terms, for --plant-model and --controller-model.", "-o", "--output", metavar="FILE"),
+    OutputFile("a law", (".toml",))]
 TermPicture = Annotated[Path | None, option(
-    "Residual against the variable of each term, PNG, SVG or PDF.", metavar="FILE")]
+    "Residual against the variable of each term, PNG, SVG or PDF.", metavar="FILE"),
+    OutputFile("a picture", (".png", ".svg", ".pdf"))]
 
 Promoted = Annotated[Path | None, option(
-    "The terms as effects of your own, TOML, for bowden diagnose --effects.", "--promote", metavar="FILE")]
+    "The terms as effects of your own, TOML, for bowden diagnose --effects.", "--promote", metavar="FILE"),
+    OutputFile("an effect", (".toml",))]
 
 
 @app.command()
 def discover(
     trials: DiscoveredTrials = None, healthy: options.Healthy = None, path: options.ForcePath = None,
     lowpass: options.Lowpass = None, output: TermsFile = None, picture: TermPicture = None,
-    promote: Promoted = None, overwrite: options.Overwrite = False,
+    promote: Promoted = None,
 ) -> CommandAnswer:
     """Find terms that extend the model where no effect of the catalogue fits.
 
@@ -115,10 +114,6 @@ def discover(
     if not trials or not healthy:
         raise NothingGivenError("TRIAL… --healthy TRIAL",
                                 "give a trial, and with --healthy one in the reference condition.")
-    output_files.refuse([output, picture, promote], overwrite=overwrite, inputs=[*trials, *healthy])
-    output_files.refuse_ending(output, ".toml", what="a law")
-    output_files.refuse_ending(promote, ".toml", what="an effect")
-    output_files.refuse_ending(picture, ".png", ".svg", ".pdf", what="a picture")
     with terminal.waiting("fitting the reference trials, then the terms"):
         found = diagnosing.discover(trials, healthy, lowpass_hz=lowpass, path=path)
     written = _write(found, output, picture, promote)
@@ -146,7 +141,7 @@ def _tell_law(found: DiscoveryResult, written: list[Path]) -> None:
     from diagnosis.report.headline import law_sentences
 
     for sentence in law_sentences(found.laws):
-        print(textwrap.fill(sentence, 80))
+        terminal.sentence(sentence)
     terminal.table("RMS error on cycles that no fit has seen", (
         "signal", "unit", "reference", "session", "law"), [
         (name, f.unit, *(terminal.number(value, 4) for value in (f.rmse_before, f.rmse_session, f.rmse_after)))
@@ -181,7 +176,7 @@ def mend(
         raise NothingGivenError("--reference TRIAL -o DIR",
                                 "give a trial of the bench in the reference condition.")
     found = supervisor.mend(reference, output, bus=reached.chosen(simulated), hours=hours, cycles=cycles, resume=resume,
-                            progress=terminal.Terminal())
+                            progress=terminal.TERMINAL)
     stopped = "stopped" in found.ending or "time is up" in found.ending
     return CommandAnswer(found.as_json(), lambda: _tell_mended(found),
                          ending.CTRL_C if found.ending.startswith("interrupted") else int(stopped))
@@ -189,7 +184,7 @@ def mend(
 
 def _tell_mended(found: MendedBench) -> None:
     for equation in found.equations:
-        print(textwrap.fill(f"Law: {equation}.", 80))
+        terminal.sentence(f"Law: {equation}.")
     if found.names:
         print(f"Named: {', '.join(found.names)}.")
     if found.gain is not None:

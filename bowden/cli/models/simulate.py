@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import Bus, SimulatedOptions, WalkOptions, argument, option
+from bowden.cli.options import Bus, OutputFile, SimulatedOptions, WalkOptions, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
@@ -21,12 +21,13 @@ if TYPE_CHECKING:
 Trial = Annotated[Path, argument("TRIAL", "MCAP, or CSV (.gz) with rope position and knee angle (none: locked).")]
 Model = Annotated[Path | None, option(
     "model.toml of bowden fit, or extended.toml (default: the nominal bench).", metavar="FILE")]
-Output = Annotated[Path | None, option("CSV of measured and simulated tensions.", "-o", "--output", metavar="FILE")]
+Output = Annotated[Path | None, option("CSV of measured and simulated tensions.", "-o", "--output", metavar="FILE"),
+                   OutputFile("a table", (".csv",))]
 
 
 @app.command()
 def simulate(
-    trial: Trial, model: Model = None, output: Output = None, overwrite: options.Overwrite = False,
+    trial: Trial, model: Model = None, output: Output = None,
 ) -> CommandAnswer:
     """Simulate a bench under a trial's measured motion.
 
@@ -38,9 +39,6 @@ def simulate(
     from estimation.data import table
     from physics import bench_model
 
-    output_files.refuse([output], overwrite=overwrite, inputs=[trial, model])
-    if output is not None:
-        output_files.refuse_ending(output, ".csv", what="a table")
     used = bench_model.BenchModel() if model is None else bench_model.read(model)
     given = table.read(trial)
     with terminal.waiting("simulating"):
@@ -110,9 +108,7 @@ def verify(
     from bowden.trials import session
 
     sections = reached.sections(rate)
-    reference, sections["gait"], _ = session.reference(
-        walk.gait(sections["gait"], controller="extended"), None, None, period_given=walk.period is not None,
-        peak_given=walk.peak is not None)
+    sections["gait"] = walk.gait(sections["gait"], controller="extended")
     chosen = reached.chosen(simulated)
     files = {name: output.with_name(f"{output.stem}-{name}{output.suffix}") for name in ("before", "after")}
     names = [one.name for one in sections["network"].bench.force_paths]
@@ -122,9 +118,10 @@ def verify(
     output_files.refuse(files.values(), overwrite=overwrite, inputs=[
         model, calibration, reached.config, simulated.plant_model])
     prepared = {
-        name: session.prepare(sections, reference, calibration, chosen, dry_run=False,
-                              controller_model=model if name == "after" else None) for name in files}
-    progress = terminal.Terminal()
+        name: session.prepare_gait(sections, calibration, chosen, peak_given=walk.peak is not None,
+                                   period_given=walk.period is not None,
+                                   controller_model=model if name == "after" else None) for name in files}
+    progress = terminal.TERMINAL
     figures = {name: session.perform(prepared[name], file, overwrite=overwrite, progress=progress,
                                      announce="" if terminal.quiet() else f"{name}, bench on {chosen.told}.")
                for name, file in files.items()}

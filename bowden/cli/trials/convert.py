@@ -28,9 +28,9 @@ Sheet = Annotated[str | None, option("Sheet of a workbook (default: the first wi
 Guess = Annotated[bool, option("Write a commented map to -o, guessed from the table, to check.", "--guess")]
 Mat73 = Annotated[bool, option("With .mat: MATLAB v7.3, which is HDF5, in place of v5.", "--mat73")]
 Controllers = Annotated[bool, option("A is the table of a sweep: rank its controllers.", "--controllers")]
-Picture = Annotated[Path | None, option("With --controllers: PNG, SVG or PDF.", metavar="FILE")]
+Picture = Annotated[Path | None, option("With --controllers: PNG, SVG or PDF.", metavar="FILE"), options.PictureFile]
 Everything = Annotated[bool, option("Every value and signal that differs, in tables.", "--all")]
-Page = Annotated[Path | None, option("Both trials in one HTML page.", "--report", metavar="FILE")]
+Page = Annotated[Path | None, option("Both trials in one HTML page.", "--report", metavar="FILE"), options.Page]
 
 
 @app.command("import")
@@ -49,7 +49,6 @@ def import_(
     from trial.convert.csv_table import Map, read_map
     from trial.convert.imports import import_file
 
-    output_files.refuse([output], overwrite=overwrite, inputs=[source, columns])
     if guess:
         if columns is not None:
             raise InputError("--guess writes a map and --map reads one; leave one of them out.")
@@ -111,7 +110,6 @@ def export(
     from trial.convert.export import export as exported
     from trial.read import open_file
 
-    output_files.refuse([output], overwrite=overwrite, inputs=[trial])
     with terminal.progress(f"exporting {trial}") as update:
         rows = exported(open_file(trial), output, mat73=mat73, overwrite=overwrite, progress=update)
     return CommandAnswer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
@@ -137,13 +135,11 @@ def compare(
     if picture is not None and not controllers:
         raise InputError("--picture shows ranked controllers; give --controllers and the table of a sweep.")
     if controllers:
-        return _rank_controllers(a, b or logbook or report, picture, overwrite=overwrite)
+        return _rank_controllers(a, b or logbook or report, picture)
     if (b is None) == (logbook is None):
         raise NothingGivenError("A B | A --logbook DIR", "compare: expected a second trial or --logbook; give one.")
     if b is None:
         return _against_history(a, logbook, report)
-    output_files.refuse([report], overwrite=overwrite, inputs=[a, b])
-    output_files.refuse_ending(report, ".html", ".htm", what="a page")
     with terminal.waiting("comparing"):
         one, other = opened(a), opened(b)
         found = compared(one, other)
@@ -159,14 +155,12 @@ def compare(
     return CommandAnswer(found.as_json(), words, 0 if found.same else 1)
 
 
-def _rank_controllers(table: Path, other: Path | None, picture: Path | None, *, overwrite: bool) -> CommandAnswer:
+def _rank_controllers(table: Path, other: Path | None, picture: Path | None) -> CommandAnswer:
     """Return the controllers of a sweep, the best first; status 1 where trials of one did not complete."""
     from bowden.sweep import summary
 
     if other is not None:
         raise InputError(f"--controllers ranks those of one table; leave {other} out.")
-    output_files.refuse([picture], overwrite=overwrite, inputs=[table])
-    output_files.refuse_picture(picture)
     rows = summary.ranked_rows(table)
     found = summary.ranked(rows)
     if picture is not None:

@@ -6,7 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import argument, option
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
 
 Any_ = Annotated[Path, argument("FILE", "A trial, CAN log, table or MCAP file.")]
 Recording = Annotated[Path, argument("FILE", "MCAP.")]
+NewRecording = Annotated[options.Output, options.Recording]
 Several = Annotated[list[Path], argument("FILE…", "MCAP, two or more.")]
 From = Annotated[float | None, option("Begin, s after the first control cycle.", "--from", metavar="S")]
 To = Annotated[float | None, option("End, s after the first control cycle; excluded.", "--to", metavar="S")]
@@ -77,7 +77,7 @@ def _tell(found: Contents) -> None:
 
 @app.command()
 def cut(
-    file: Recording, output: options.Output, from_: From = None, to: To = None, gait: Gait = None,
+    file: Recording, output: NewRecording, from_: From = None, to: To = None, gait: Gait = None,
     overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Write a part of a recording.
@@ -92,8 +92,6 @@ def cut(
         raise InputError("cut: nothing says what to keep; give --from, --to or --gait.")
     if gait is not None and (from_ is not None or to is not None):
         raise InputError("cut: --gait counts gait cycles, --from and --to seconds; give one kind.")
-    output_files.refuse([output], overwrite=overwrite, inputs=[file])
-    output_files.refuse_ending(output, ".mcap", what="a recording")
     with terminal.waiting(f"cutting {file}"):
         found = edit.cut(file, output, from_s=from_ or 0.0, to_s=to, gait=_span(gait), overwrite=overwrite)
     return _written(output, found)
@@ -110,7 +108,7 @@ def _span(gait: str | None) -> tuple[int, int] | None:
 
 @app.command()
 def merge(
-    files: Several, output: options.Output, overwrite: options.Overwrite = False,
+    files: Several, output: NewRecording, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Write several recordings as one, by time.
 
@@ -121,8 +119,6 @@ def merge(
     """
     from trial import edit
 
-    output_files.refuse([output], overwrite=overwrite, inputs=files)
-    output_files.refuse_ending(output, ".mcap", what="a recording")
     with terminal.waiting("merging"):
         found = edit.merge(files, output, overwrite=overwrite)
     return _written(output, found)
@@ -136,7 +132,7 @@ def _written(output: Path, found: EditSummary) -> CommandAnswer:
 
 @app.command()
 def recover(
-    torn: Torn, output: options.Output, overwrite: options.Overwrite = False,
+    torn: Torn, output: NewRecording, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Repair a torn recording.
 
@@ -146,7 +142,6 @@ def recover(
     """
     from trial.recover import recover as recovered
 
-    output_files.refuse_ending(output, ".mcap", what="a recording")
     with terminal.progress(f"recovering {torn}") as update:
         found = recovered(torn, output, overwrite=overwrite, progress=update)
     return CommandAnswer({"trial": str(output), **asdict(found)}, (
@@ -156,7 +151,8 @@ def recover(
 
 @app.command()
 def report(
-    trial: options.Trial, output: options.Output, path: options.ForcePath = None, overwrite: options.Overwrite = False,
+    trial: options.Trial, output: Annotated[options.Output, options.Page], path: options.ForcePath = None,
+    overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Write a trial as one offline HTML page.
 
@@ -167,9 +163,7 @@ def report(
     from bowden.pages import figures
     from bowden.trials.force_paths import opened
 
-    output_files.refuse([output], overwrite=overwrite, inputs=[trial])
-    output_files.refuse_ending(output, ".html", ".htm", what="a page")
     with terminal.waiting(f"reading {trial}"):
         recorded = opened(trial, path, whole=True)
-    size = figures.write_trial_page(recorded, output, overwrite=overwrite, progress=terminal.Terminal())
+    size = figures.write_trial_page(recorded, output, overwrite=overwrite, progress=terminal.TERMINAL)
     return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {size / 1e6:.1f} MB.")

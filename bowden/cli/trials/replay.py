@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import BusAlone, SimulatedOptions, option
+from bowden.cli.options import BusAlone, OutputFile, SimulatedOptions, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
@@ -49,7 +48,8 @@ Map = Annotated[list[str] | None, option("bus: recorded channel → channel.", "
 NodesOnly = Annotated[bool, option("bus: the nodes' frames, answering a live master.", "--nodes-only")]
 Allowed = Annotated[str | None, option(
     "controller: import this class, which the trial names.", "--allow-controller", metavar="MODULE:CLASS")]
-Residuals = Annotated[Path | None, option("plant: residuals, MCAP.", "-o", "--output", metavar="FILE")]
+Residuals = Annotated[Path | None, option("plant: residuals, MCAP.", "-o", "--output", metavar="FILE"),
+                      OutputFile("residuals", (".mcap",))]
 
 
 @app.command()
@@ -75,7 +75,6 @@ def replay(
     if onto not in ONTO:
         raise InputError(f"--onto {onto}: expected one of {', '.join(ONTO)}; choose where the trial is replayed.")
     _refuse_others(context, f"{onto} --nodes-only" if nodes_only else onto)
-    output_files.refuse_ending(output, ".mcap", what="residuals")
     given = whole(opened(trial, path, whole=onto != "controller"))
     refuse_imported(given, onto)
     if onto == "controller":
@@ -135,7 +134,7 @@ def _tell(same: str, first: str | None, counted: tuple[str, str], differing: Map
 def _plant(recorded: Trial, chosen: BusSettings, output: Path | None, *, overwrite: bool) -> CommandAnswer:
     from bowden.replay import onto_plant
 
-    found = onto_plant.replay(recorded, chosen, output, overwrite=overwrite, progress=terminal.Terminal())
+    found = onto_plant.replay(recorded, chosen, output, overwrite=overwrite, progress=terminal.TERMINAL)
 
     def words() -> None:
         print(f"{len(found.time_ns)} control cycles, recorded − simulated:"
@@ -154,7 +153,7 @@ def _plant(recorded: Trial, chosen: BusSettings, output: Path | None, *, overwri
 def _nodes(recorded: Trial, chosen: BusSettings, bitrate: int) -> CommandAnswer:
     from bowden.replay import onto_master
 
-    found = onto_master.replay(recorded, chosen, bitrate, progress=terminal.Terminal())
+    found = onto_master.replay(recorded, chosen, bitrate, progress=terminal.TERMINAL)
 
     def words() -> None:
         print(f"{found.frames} frames of the master compared, {found.beyond} after the recording's end; "

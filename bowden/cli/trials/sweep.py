@@ -64,7 +64,7 @@ def sweep(
                 terminal.remark("some of them are by another commit; --overwrite makes them again.")
         try:
             found = sweep_run.into_table(rows, table, overwrite=overwrite, scheduler=scheduler, workers=workers,
-                                         keep=keep, progress=terminal.Terminal())
+                                         keep=keep, progress=terminal.TERMINAL)
         except KeyboardInterrupt:
             terminal.remark(f"{table.growing}: keeps the trials that are done; the same command goes on from there.")
             raise

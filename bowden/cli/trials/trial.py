@@ -8,10 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, option, spelled
+from bowden.cli.options import (
+    Bus,
+    OutputFile,
+    SimulatedOptions,
+    StrideOptions,
+    WalkOptions,
+    WatchOptions,
+    option,
+    spelled,
+)
 from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
@@ -21,12 +29,13 @@ if TYPE_CHECKING:
     from bowden.watch.file_watch import WatchedBench
     from bowden.watch.watch_process import TrialWatch
 
+NewTrial = Annotated[options.Output, OutputFile("a trial", (".mcap",))]
 Web = Annotated[str | None, option("Live page with a stop button; port 0: a free one.", metavar="[HOST:]PORT")]
 
 
 @app.command()
 def trial(
-    output: options.Output, walk: WalkOptions, strides: StrideOptions, knee: options.Knee = None,
+    output: NewTrial, walk: WalkOptions, strides: StrideOptions, knee: options.Knee = None,
     desired: options.Desired = None, calibration: options.Calibration = None,
     controller_model: options.ControllerModel = None, experiment: options.Script = None,
     motion_of: options.MotionOf = None, dry_run: options.DryRun = False, homing_n: options.HomingForce = None, *,
@@ -47,11 +56,7 @@ def trial(
     from bowden.bench import configuration
     from bowden.trials import repeated_motion, session
 
-    output_files.refuse_ending(output, ".mcap", what="a trial")
-    output_files.refuse_picture(picture)
     own = {"--knee": knee, "--desired": desired, "--calibration": calibration, "--controller-model": controller_model}
-    output_files.refuse([output, picture], overwrite=overwrite, inputs=[
-        *own.values(), reached.config, simulated.plant_model, motion_of])
     repeated_motion.refuse_beside(motion_of, experiment, {
         **own, **spelled(walk, strides), "--dry-run": dry_run or None, "--homing-n": homing_n})
     sections = reached.sections(rate)
@@ -65,8 +70,11 @@ def trial(
         prepared = repeated_motion.prepared(motion_of, sections, chosen)
     else:
         sections["walk"] = strides.walk(sections["walk"], simulated.seed)
-        prepared = _prepared(walk, sections, chosen, knee, desired, calibration=calibration, dry_run=dry_run,
-                             script=experiment, controller_model=controller_model)
+        sections["gait"] = walk.gait(sections["gait"])
+        prepared = session.prepare_gait(
+            sections, calibration, chosen, peak_given=walk.peak is not None, period_given=walk.period is not None,
+            knee=knee, desired=desired, dry_run=dry_run, controller_model=controller_model, script=experiment,
+            progress=terminal.TERMINAL)
     result = _performed(prepared, sections["network"], output, picture, web, bench, chosen, overwrite=overwrite)
     if entered is not None and result["trial"] is not None:
         from bowden.models import logbook_entries
@@ -89,21 +97,6 @@ def trial(
             print(f"Logbook: {entered}, trial {result['logbook']['trial']}, session {result['logbook']['session']}")
 
     return CommandAnswer(result, words, ending.status_of(result["outcome"], result["stop_reason"]))
-
-
-def _prepared(walk: WalkOptions, sections: dict[str, Any], chosen: BusSettings, knee: Path | None,
-              desired: Path | None, **more: Any) -> PreparedTrial:
-    """Return the gait trial that the options ask for, and print the remarks on its curve files."""
-    from bowden.trials import provenance, session
-
-    reference, sections["gait"], notes = session.reference(
-        walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
-        peak_given=walk.peak is not None, walk=sections["walk"], rate_hz=sections["network"].rate_hz)
-    found = session.prepare(sections, reference, more.pop("calibration"), chosen, knee=knee,
-                            files=provenance.curves(knee=knee, desired=desired), **more)
-    for note in notes:
-        terminal.remark(note)
-    return found
 
 
 def _performed(prepared: PreparedTrial, network: Any, output: Path, picture: Path | None, web: str | None,
