@@ -11,19 +11,19 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from functools import wraps
+from functools import cache, partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 
 from bowden import output_files
+from bowden.bench import buses, configuration
 from bowden.cli.terminal import CommandAnswer, answered
 from parameters import InputError
 from physics.effects.separating_experiments import SCRIPTED
 
 if TYPE_CHECKING:
-    from bowden.bench.buses import BusSettings
     from bowden.watch.file_watch import WatchedBench
     from master.network.link import Link
 
@@ -82,8 +82,6 @@ def serials(incomplete: str) -> list[str]:
 
 def declared_paths(incomplete: str) -> list[str]:
     """Return the force paths of ./bench.toml that begin as typed; none without a declaration that can be read."""
-    from bowden.bench import configuration
-
     try:
         bench = configuration.read(Path("bench.toml"), any_shape=True)["network"].bench
     except InputError:
@@ -260,8 +258,6 @@ class Bus(NamedTuple):
 
     def sections(self, rate: int | None = None) -> dict[str, Any]:
         """Return the checked sections of the configuration, the network overridden by the given options."""
-        from bowden.bench import configuration
-
         sections = configuration.read(self.config)
         sections["network"] = configuration.override(
             sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", self.bitrate)})
@@ -281,22 +277,17 @@ class Bus(NamedTuple):
 
         return linked(self.configured(), self.network().bitrate)
 
-    def configured(self) -> BusSettings:
+    def configured(self) -> buses.BusSettings:
         """Return the bus to open; a simulated bench is the one that the configuration declares."""
-        from bowden.bench.buses import rated
-
         network = self.network()
-        return rated(self.chosen(), network.bitrate, network)
+        return buses.rated(self.chosen(), network.bitrate, network)
 
-    def chosen(self, simulated: SimulatedOptions | None = None, *, always_simulated: bool = False) -> BusSettings:
+    def chosen(self, simulated: SimulatedOptions | None = None, *, always_simulated: bool = False) -> buses.BusSettings:
         """Return the bus to open; raises `InputError` for contradictory options.
 
         A channel or an option without an interface means a real bus that would not be opened: it is refused, but
         where a command is `always_simulated`.
         """
-        from bowden.bench.buses import BENCH, VIRTUAL, bus
-        from bowden.bench.buses import simulated as virtual
-
         options = dict(_option(text) for text in self.option or ())
         asked: dict[str, Any] = {
             name: value for name, value in (simulated or SimulatedOptions())._asdict().items() if value is not None}
@@ -304,14 +295,14 @@ class Bus(NamedTuple):
             for name, value in (("--channel", self.channel), ("--option", self.option and self.option[0])):
                 if value:
                     raise InputError(f"{name} {value}: without --interface nothing but a simulation would run; add "
-                                     f"--interface socketcan (or another), or --interface {VIRTUAL} for the simulated "
-                                     "bench.")
-        if self.interface in (None, VIRTUAL):
-            return virtual(**{**asked, "channel": self.channel or BENCH, **options})
+                                     "--interface socketcan (or another), or --interface "
+                                     f"{buses.VIRTUAL} for the simulated bench.")
+        if self.interface in (None, buses.VIRTUAL):
+            return buses.simulated(**{**asked, "channel": self.channel or buses.BENCH, **options})
         for name in asked:
             raise InputError(f"--{name.replace('_', '-')} belongs to simulated benches; leave it out with "
                              f"--interface {self.interface}.")
-        return bus(**{"interface": self.interface, "channel": self.channel, **options})
+        return buses.bus(**{"interface": self.interface, "channel": self.channel, **options})
 
 
 def _option(text: str) -> tuple[str, Any]:
@@ -331,6 +322,10 @@ BusAlone = Annotated[Bus, "interface", "channel", "bitrate", "option"]
 """The bus without a bench's declaration: its named options alone."""
 
 
+_options_of = cache(partial(get_type_hints, include_extras=True))
+"""Options of a group by name, kept since the evaluation of annotations takes long."""
+
+
 def grouped(command: Callable[..., CommandAnswer | int]) -> Callable[..., int]:
     """Return a command as the command line calls it: with spelt-out options, checked output files, a printed answer.
 
@@ -347,7 +342,7 @@ def grouped(command: Callable[..., CommandAnswer | int]) -> Callable[..., int]:
     for parameter in inspect.signature(command).parameters.values():
         if parameter.name in groups:
             kind, fields = groups[parameter.name]
-            offered = get_type_hints(getattr(kind, "__origin__", kind), include_extras=True)
+            offered = _options_of(getattr(kind, "__origin__", kind))
             spelt += [_option_of(field, kind._field_defaults[field], offered[field]) for field in fields]
         else:
             spelt.append(_option_of(parameter.name, parameter.default, hints[parameter.name]))

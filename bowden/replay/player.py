@@ -175,8 +175,8 @@ def nmt_states(frames: Rows) -> dict[int, NmtState]:
 def restoration(schedule: Schedule, count: int) -> list[tuple[Frame, int]]:
     """Return the frames, each with its channel, that restore the bus to its state after `count` frames of the schedule.
 
-    On every channel NMT commands for every node but the master, then the last PDO of each COB-ID in the order of arrival.
-    Filtered frames are not sent.
+    On every channel NMT commands for every node but the master, then the last PDO of each COB-ID in the order of
+    arrival.  Filtered frames are not sent.
     """
     past = np.concatenate([schedule.before, schedule.frames[:count]])
     found = []

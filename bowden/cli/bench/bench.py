@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import Bus, SimulatedOptions, option
@@ -32,7 +33,6 @@ def bench(
     """
     import can
 
-    from bowden.bench import buses, configuration
     from bowden.trials import session
     from master.network.host_computer import prepared
     from virtual_bus.bus import BowdenBus
@@ -80,7 +80,7 @@ def safety_monitor(
 
     Example: bowden safety-monitor person.toml --interface socketcan --channel can0 --board my_board:Board
     """
-    from bowden.bench import buses, configuration, monitor_program
+    from bowden.bench import monitor_program
     from eds.bench.bench_network import MASTER, MONITOR, wire
     from safety_monitor import MonitorNode, read
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated
 
+from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import Bus, argument, option
@@ -34,7 +35,6 @@ def home(
 
     Example: bowden home --interface socketcan --channel can0
     """
-    from bowden.bench import configuration
     from master.motion import commission
     from physics.calibration import nominal, read
 
@@ -152,7 +152,6 @@ def acknowledge(reached: Bus) -> CommandAnswer:
 
     Example: bowden acknowledge --interface socketcan --channel can0
     """
-    from bowden.bench import buses
     from eds.bench.bench_network import wire
     from master.network.acknowledge import acknowledge as release
     from master.network.bringup import BringUpError

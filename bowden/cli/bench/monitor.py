@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from bowden import output_files
+from bowden.bench import buses
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import Bus, OutputFile, argument, option
@@ -50,7 +51,6 @@ def monitor(
 
     Example: bowden monitor --for 0.2 --only sdo,pdo,emcy
     """
-    from bowden.bench import buses
     from eds.bench.bench_network import wire
     from eds.bench.bus_load import frame_bits
     from master.node_access.frame_words import FrameReader, FrameWords, of_wire
@@ -136,7 +136,6 @@ def _of_message(message: Any) -> MonitoredFrame:
 
 def _of_bus(bus: Any, seconds: float | None) -> Iterator[MonitoredFrame]:
     """Yield the frames that a bus receives for so many seconds, or until Ctrl-C."""
-    from bowden.bench import buses
     from master.network.link import FAILURES
 
     clock = buses.clock_of(bus)
@@ -233,7 +232,6 @@ def record(
 
     Example: bowden record --interface virtual --channel bench --for 1 -o bus.mcap
     """
-    from bowden.bench import buses
     from bowden.trials.recording import BusRecording
     from eds.bench.bench_network import wire
 

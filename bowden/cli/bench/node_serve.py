@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from bowden.bench import buses
 from bowden.cli import ending, options, terminal
 from bowden.cli.bench.node import Eds, Force, Name, node, node_id_of, refuse_other_master
 from bowden.cli.options import Bus, argument, option
@@ -78,7 +79,6 @@ def serve(
     """
     import can
 
-    from bowden.bench import buses
     from bowden.testing import CanBus
 
     if reached.interface is None:

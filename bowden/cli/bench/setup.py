@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import CommandGroup, app
 from bowden.cli.options import Bus, OutputFile, SimulatedOptions, argument, option
@@ -40,8 +41,6 @@ def init(
 
     Example: bowden init -o bench.toml
     """
-    from bowden.bench import configuration
-
     configuration.as_template(shape=shape)
     told = _asked(configuration.declaration("record")) if sys.stdin.isatty() else {}
     write_whole(output, configuration.as_template(told, shape), overwrite=True)
@@ -60,7 +59,6 @@ def check_config(file: ConfigFile) -> CommandAnswer:
 
     Example: bowden init -o bench.toml && bowden check config bench.toml
     """
-    from bowden.bench import configuration
     from eds.bench.bench_network import lacks, wire
     from eds.bench.bus_load import LOAD_GOAL_PERCENT, rate_that_fits, refuse
     from master.limit_holders import COLUMNS, unheld
@@ -152,7 +150,6 @@ def check_bench(
 
     Example: bowden check bench --calibration calibration.toml --start 20 --end 20 --knee 0 --knee -60
     """
-    from bowden.bench import buses
     from bowden.trials import setup_checks
     from master.motion import commission
     from physics.setup_check import LEAST_N, SetupCheck, read
@@ -216,7 +213,7 @@ def doctor(
         return _soak(reached, soak, output)
     if output is not None:
         raise InputError(f"-o {output}: is the report of a soak; add --soak MINUTES.")
-    from bowden.bench import configuration, examination
+    from bowden.bench import examination
     from master.limit_holders import COLUMNS
 
     sections = reached.sections()

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from bowden import output_files
+from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import NothingGivenError, app
 from bowden.cli.options import Bus, argument, option, watched_bench
@@ -57,7 +58,6 @@ def _show_page(page: LivePage) -> None:
 
 
 def _play(path: Path, reached: Bus, speed: float, web: str, over: Callable[[], bool]) -> int:
-    from bowden.bench import configuration
     from bowden.live import feeds
     from bowden.live.feeds import TrialPlayer
     from bowden.live.web import LivePage
@@ -82,7 +82,6 @@ def _play(path: Path, reached: Bus, speed: float, web: str, over: Callable[[], b
 def _follow_bus(reached: Bus, web: str, over: Callable[[], bool]) -> int:
     import can
 
-    from bowden.bench import buses
     from bowden.live import feeds
     from bowden.live.web import LivePage
 
@@ -169,7 +168,6 @@ def _looked(watched: FileWatch, ended: Callable[[], bool]) -> Iterator[WatchVerd
 def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float | None, *, overwrite: bool
          ) -> CommandAnswer:
     """Record the bus in this process, and watch the recording in another one."""
-    from bowden.bench import buses
     from bowden.trials.recording import BusRecording
     from bowden.watch import watch_process
     from eds.bench.bench_network import wire

@@ -12,6 +12,7 @@ from bowden.cli import options, terminal
 from bowden.cli.app import NothingGivenError, app
 from bowden.cli.options import OutputFile, argument, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.trials import force_paths
 from parameters import InputError
 from parameters.files import write_whole
 
@@ -79,7 +80,6 @@ def diagnose(
     if each:
         return _each(chosen, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers))
     from bowden.models import diagnosing, logbook_entries
-    from bowden.trials import force_paths
     from diagnosis import extension
     from diagnosis.finder import Finder
     from diagnosis.report import diagnosis_page, figure_export

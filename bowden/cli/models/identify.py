@@ -14,6 +14,7 @@ from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import Bus, OutputFile, SimulatedOptions, argument, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.trials import force_paths
 from parameters import InputError, declarations
 from parameters.files import write_whole
 
@@ -118,7 +119,6 @@ def identify(
     """
     from bowden.models import identification
     from bowden.trials import session
-    from bowden.trials.force_paths import file_of
     from logbook.database import refuse_no_logbook
 
     refuse_no_logbook(logbook)
@@ -140,7 +140,7 @@ def identify(
     output_files.refuse([recording], overwrite=overwrite, inputs=[calibration, reached.config, simulated.plant_model])
     paths = [path.name for path in sections["network"].bench.force_paths]
     if len(paths) > 1:
-        output_files.refuse([file_of(output, path) for path in paths], overwrite=overwrite)
+        output_files.refuse([force_paths.file_of(output, path) for path in paths], overwrite=overwrite)
     found = identification.perform(
         what, sections, calibration, chosen, recording, date=today, gait=not no_gait, overwrite=overwrite,
         progress=terminal.TERMINAL)
@@ -150,10 +150,9 @@ def identify(
 def _written(found: Sequence[IdentificationResult], output: Path, source: str, picture: Path | None,
              logbook: Path | None, last: str = "") -> CommandAnswer:
     """Write the calibration and the picture of each force path, and enter them; return the answer."""
-    from bowden.trials.force_paths import file_of
     from physics.calibration import write
 
-    files = {one.path: file_of(output, one.path) if one.path else output for one in found}
+    files = {one.path: force_paths.file_of(output, one.path) if one.path else output for one in found}
     for one in found:
         if one.calibration is None:
             continue
@@ -162,7 +161,7 @@ def _written(found: Sequence[IdentificationResult], output: Path, source: str, p
             from bowden.pages import model_pictures
 
             model_pictures.draw_loops(one.segments, f"{files[one.path].name}, measured in {source}",
-                               file_of(picture, one.path) if one.path else picture)
+                               force_paths.file_of(picture, one.path) if one.path else picture)
         if logbook is not None:
             from bowden.models import logbook_entries
 

@@ -10,6 +10,7 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import argument, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.trials import force_paths
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -161,9 +162,8 @@ def report(
     Example: bowden report trial.mcap -o report.html
     """
     from bowden.pages import figures
-    from bowden.trials.force_paths import opened
 
     with terminal.waiting(f"reading {trial}"):
-        recorded = opened(trial, path, whole=True)
+        recorded = force_paths.opened(trial, path, whole=True)
     size = figures.write_trial_page(recorded, output, overwrite=overwrite, progress=terminal.TERMINAL)
     return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {size / 1e6:.1f} MB.")

@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bowden.bench import buses
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import BusAlone, OutputFile, SimulatedOptions, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.trials import force_paths
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from bowden.bench.buses import BusSettings
     from bowden.replay.onto_bus import PlaybackResult, Playing
     from trial.read import Trial
 
@@ -65,17 +66,15 @@ def replay(
 
     Example: bowden replay trial.mcap --onto controller
     """
-    from bowden.bench import buses
     from bowden.replay import onto_bus, refuse_imported
     from bowden.replay.player import Selection
     from bowden.trials import recorded
-    from bowden.trials.force_paths import opened
     from trial.read import whole
 
     if onto not in ONTO:
         raise InputError(f"--onto {onto}: expected one of {', '.join(ONTO)}; choose where the trial is replayed.")
     _refuse_others(context, f"{onto} --nodes-only" if nodes_only else onto)
-    given = whole(opened(trial, path, whole=onto != "controller"))
+    given = whole(force_paths.opened(trial, path, whole=onto != "controller"))
     refuse_imported(given, onto)
     if onto == "controller":
         return _controller(given, allow_controller)
@@ -131,7 +130,7 @@ def _tell(same: str, first: str | None, counted: tuple[str, str], differing: Map
     terminal.table(f"{counted[1]} that differ", counted, [(name, str(count)) for name, count in differing.items()])
 
 
-def _plant(recorded: Trial, chosen: BusSettings, output: Path | None, *, overwrite: bool) -> CommandAnswer:
+def _plant(recorded: Trial, chosen: buses.BusSettings, output: Path | None, *, overwrite: bool) -> CommandAnswer:
     from bowden.replay import onto_plant
 
     found = onto_plant.replay(recorded, chosen, output, overwrite=overwrite, progress=terminal.TERMINAL)
@@ -150,7 +149,7 @@ def _plant(recorded: Trial, chosen: BusSettings, output: Path | None, *, overwri
                          words, 0 if found.same else 1)
 
 
-def _nodes(recorded: Trial, chosen: BusSettings, bitrate: int) -> CommandAnswer:
+def _nodes(recorded: Trial, chosen: buses.BusSettings, bitrate: int) -> CommandAnswer:
     from bowden.replay import onto_master
 
     found = onto_master.replay(recorded, chosen, bitrate, progress=terminal.TERMINAL)

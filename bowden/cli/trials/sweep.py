@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from bowden.bench import configuration
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import option
@@ -37,7 +38,6 @@ def sweep(
 
     Example: bowden sweep --grid peak=40,50,60 --grid serial=1-20 --identify --grid day=1 -o table.csv
     """
-    from bowden.bench import configuration
     from bowden.sweep import rows as sweep_rows
     from bowden.sweep import run as sweep_run
     from bowden.sweep import summary

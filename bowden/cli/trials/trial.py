@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import (
@@ -23,7 +24,6 @@ from bowden.cli.options import (
 from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
-    from bowden.bench.buses import BusSettings
     from bowden.live.feeds import TrialFeed
     from bowden.trials.session import PreparedTrial
     from bowden.watch.file_watch import WatchedBench
@@ -53,7 +53,6 @@ def trial(
     from bowden.bench import light_imports
 
     light_imports.load()
-    from bowden.bench import configuration
     from bowden.trials import repeated_motion, session
 
     own = {"--knee": knee, "--desired": desired, "--calibration": calibration, "--controller-model": controller_model}
@@ -100,7 +99,7 @@ def trial(
 
 
 def _performed(prepared: PreparedTrial, network: Any, output: Path, picture: Path | None, web: str | None,
-               bench: WatchedBench | None, chosen: BusSettings, *, overwrite: bool) -> dict[str, Any]:
+               bench: WatchedBench | None, chosen: buses.BusSettings, *, overwrite: bool) -> dict[str, Any]:
     """Run a trial with its live page and its watches; return its figures and, by path, the watches' findings."""
     from bowden.trials import session
 
@@ -121,7 +120,7 @@ def _performed(prepared: PreparedTrial, network: Any, output: Path, picture: Pat
     return result
 
 
-def _where(chosen: BusSettings) -> str:
+def _where(chosen: buses.BusSettings) -> str:
     """Print, before anything moves, whether the bench is real or simulated."""
     if chosen.simulated:
         told = ", ".join(f"{name} {chosen.arguments[name]}" for name in ("serial", "day", "seed", "plant"))
@@ -139,7 +138,7 @@ def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[Tr
 
 
 @contextmanager
-def _watches(bench: WatchedBench | None, output: Path, network: Any, chosen: BusSettings
+def _watches(bench: WatchedBench | None, output: Path, network: Any, chosen: buses.BusSettings
              ) -> Iterator[dict[str, TrialWatch]]:
     """Yield the watch of each force path of the trial, each in a separate process; none without --watch."""
     if bench is None:
