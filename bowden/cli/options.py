@@ -1,9 +1,9 @@
 """Options of the commands, each declared once.
 
 A group is a named tuple of options with defaults and a method that applies them to a configuration: a command takes it
-as one parameter.  An option that names a file to write has an `OutputFile` in its annotation.  `grouped` makes of a
-command what the command line calls: groups are spelt out and gathered again, --json and, beside a file to write,
---overwrite are added, output files are checked before the command begins, and the answer is printed.
+as one parameter.  An option that names a file to write is a `new_file`.  `grouped` makes of a command what the command
+line calls: groups are spelt out and gathered again, --json and, beside a file to write, --overwrite are added, output
+files are checked before the command begins, and the answer is printed.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ def _file(help: str, *names: str) -> Any:
     return option(help, *names, metavar="FILE")
 
 
-class OutputFile(NamedTuple):
-    """Content of a file to write, as an error sentence names it, and the endings that such a file may have.
+def new_file(help: str = "File to write.", content: str = "", *endings: str, name: str = "--output") -> Any:
+    """Declare an option for a file to write; `grouped` checks the file before the command begins.
 
-    Without endings any is allowed.
+    `content`: of the file, as an error sentence names it; `endings` that it may have, any without.
     """
-
-    content: str = ""
-    endings: tuple[str, ...] = ()
+    declared = _file(help, *(("-o", name) if name == "--output" else (name,)))
+    declared.output_file = (content, endings)
+    return declared
 
 
 def _beginning(names: Iterable[str], incomplete: str) -> list[str]:
@@ -89,14 +89,16 @@ def declared_paths(incomplete: str) -> list[str]:
     return _beginning((path.name for path in bench.force_paths), incomplete)
 
 
-Output = Annotated[Path, _file("File to write.", "-o", "--output"), OutputFile()]
-PictureFile = OutputFile("a picture", output_files.PICTURES)
-Page = OutputFile("a page", (".html", ".htm"))
-Recording = OutputFile("a recording", (".mcap",))
+PICTURE = ("a picture", *output_files.PICTURES)
+PAGE = ("a page", ".html", ".htm")
+RECORDING = ("a recording", ".mcap")
+Output = Annotated[Path, new_file()]
+Page = Annotated[Path, new_file("File to write.", *PAGE)]
 Overwrite = Annotated[bool, option("Replace an existing output file.", "--overwrite")]
 Json = Annotated[bool, option("JSON on stdout, nothing else.", "--json")]
 Config = Annotated[Path | None, _file("bench.toml; bowden init writes one.", "--config")]
-Picture = Annotated[Path | None, _file("Draw desired, START and END force (png, svg, pdf)."), PictureFile]
+Picture = Annotated[Path | None, new_file(
+    "Draw desired, START and END force (png, svg, pdf).", *PICTURE, name="--picture")]
 
 Logbook = Annotated[Path | None, option(
     "Logbook to enter it in (default: [record] logbook of the configuration).", metavar="DIR")]
@@ -336,8 +338,8 @@ def grouped(command: Callable[..., CommandAnswer | int]) -> Callable[..., int]:
     del hints["return"]
     groups = {name: (kind, getattr(kind, "__metadata__", kind._fields)) for name, kind in hints.items()
               if hasattr(kind, "_field_defaults")}
-    outputs = {name: kinds[-1] for name, hint in hints.items() if name not in groups
-               if (kinds := [kind for kind in getattr(hint, "__metadata__", ()) if isinstance(kind, OutputFile)])}
+    outputs = {name: declared.output_file for name, hint in hints.items()
+               for declared in getattr(hint, "__metadata__", ()) if hasattr(declared, "output_file")}
     spelt: list[inspect.Parameter] = []
     for parameter in inspect.signature(command).parameters.values():
         if parameter.name in groups:
@@ -367,11 +369,11 @@ def grouped(command: Callable[..., CommandAnswer | int]) -> Callable[..., int]:
     return gathered
 
 
-def _refuse_outputs(outputs: Mapping[str, OutputFile], given: Mapping[str, Any]) -> None:
+def _refuse_outputs(outputs: Mapping[str, tuple[str, Sequence[str]]], given: Mapping[str, Any]) -> None:
     """Raise `InputError` for an output file of another ending, one that exists, or one that is an input, too."""
-    for name, kind in outputs.items():
-        if kind.endings:
-            output_files.refuse_ending(given[name], *kind.endings, what=kind.content)
+    for name, (content, endings) in outputs.items():
+        if endings:
+            output_files.refuse_ending(given[name], *endings, what=content)
     inputs = [path for name, value in given.items() if name not in outputs
               for path in (value if isinstance(value, list | tuple) else (value,)) if isinstance(path, Path)]
     output_files.refuse([given[name] for name in outputs], overwrite=given["overwrite"], inputs=inputs)

@@ -14,7 +14,7 @@ from bowden import output_files
 from bowden.bench import buses
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import Bus, OutputFile, argument, option
+from bowden.cli.options import Bus, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
@@ -38,10 +38,10 @@ def monitor(
     seconds: Annotated[float | None, option(
         "Time to listen (default: until Ctrl-C; simulated: 1 s).", "--for", metavar="S", min=0.0)] = None,
     table: Annotated[bool, option("Only the table of rates and load, at the end.", "--table")] = False,
-    dbc: Annotated[Path | None, option("Write the PDOs' layout as DBC.", "--dbc", metavar="FILE"),
-                   OutputFile("a layout of PDOs", (".dbc",))] = None,
-    mf4: Annotated[Path | None, option("Write the PDOs' values as MF4.", "--mf4", metavar="FILE"),
-                   OutputFile("a recording of values", (".mf4",))] = None,
+    dbc: Annotated[Path | None, new_file(
+        "Write the PDOs' layout as DBC.", "a layout of PDOs", ".dbc", name="--dbc")] = None,
+    mf4: Annotated[Path | None, new_file(
+        "Write the PDOs' values as MF4.", "a recording of values", ".mf4", name="--mf4")] = None,
     overwrite: options.Overwrite = False,
 ) -> CommandAnswer | int:
     """Show each frame of a bus or of a file in words.

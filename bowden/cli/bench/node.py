@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bowden.cli import options
 from bowden.cli.app import CommandGroup, NothingGivenError, app
-from bowden.cli.options import Bus, OutputFile, argument, option
+from bowden.cli.options import Bus, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
@@ -75,9 +74,7 @@ def info(name: Name, reached: Bus, eds: Eds = None) -> CommandAnswer:
 @node.command()
 def read(
     name: Name, place: ObjectOf, reached: Bus, eds: Eds = None, type: Type = None,
-    output: Annotated[
-        Path | None, option("File for the bytes.", "-o", "--output", metavar="FILE"), OutputFile()] = None,
-    block: Block = False,
+    output: Annotated[Path | None, new_file("File for the bytes.")] = None, block: Block = False,
 ) -> CommandAnswer:
     """Read one object, typed by the EDS or by --type.
 
@@ -336,9 +333,9 @@ def emcy(
 
 @node.command()
 def backup(
-    name: Name, output: Annotated[options.Output, OutputFile("a node's parameters", (".dcf",))], reached: Bus,
-    eds: Eds = None, concise: Annotated[Path | None, option(
-        "Write them as concise DCF (1F22), too.", metavar="FILE"), OutputFile()] = None,
+    name: Name, output: Annotated[Path, new_file("File to write.", "a node's parameters", ".dcf")], reached: Bus,
+    eds: Eds = None,
+    concise: Annotated[Path | None, new_file("Write them as concise DCF (1F22), too.", name="--concise")] = None,
 ) -> CommandAnswer:
     """Read a node's parameters and PDO settings and write them as DCF.
 

@@ -14,7 +14,7 @@ import typer
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import CommandGroup, app
-from bowden.cli.options import Bus, OutputFile, SimulatedOptions, argument, option
+from bowden.cli.options import Bus, SimulatedOptions, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError, declarations
 from parameters.files import write_whole
@@ -28,8 +28,7 @@ ConfigFile = Annotated[Path, argument("FILE", "bench.toml.")]
 
 @app.command()
 def init(
-    output: Annotated[Path, option("File to write.", "-o", "--output", metavar="FILE"),
-                      OutputFile("a configuration", (".toml",))] = Path("bench.toml"),
+    output: Annotated[Path, new_file("File to write.", "a configuration", ".toml")] = Path("bench.toml"),
     shape: Annotated[str, option(
         "Packaged declaration: bench, bench_start_only (no END load cell), bench_no_knee_drive, bench_antagonists (two "
         "ropes on a joint), bench_two_legs.", metavar="NAME")] = "bench",
@@ -195,8 +194,7 @@ def doctor(
         "Compile the laws and end: the warm-up of a container image.", "--compile")] = False,
     soak: Annotated[float | None, option(
         "Instead, measure wake-ups and SDO round trips for so many minutes.", metavar="MINUTES", min=0.0)] = None,
-    output: Annotated[Path | None, option(
-        "With --soak: the report, Markdown.", "-o", "--output", metavar="FILE"), OutputFile()] = None,
+    output: Annotated[Path | None, new_file("With --soak: the report, Markdown.")] = None,
 ) -> CommandAnswer:
     """Check the bench; name the commands to type.
 

@@ -17,7 +17,7 @@ from bowden import output_files
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import NothingGivenError, app
-from bowden.cli.options import Bus, argument, option, watched_bench
+from bowden.cli.options import Bus, argument, new_file, option, watched_bench
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
@@ -104,8 +104,7 @@ def _follow_bus(reached: Bus, web: str, over: Callable[[], bool]) -> int:
 
 
 Written = Annotated[Path | None, argument("TRIAL", "Trial that is being written, by bowden trial or bowden record.")]
-Recording = Annotated[Path | None, option(
-    "With --interface: where the bus is recorded.", "-o", "--output", metavar="FILE"), options.Recording]
+Recording = Annotated[Path | None, new_file("With --interface: where the bus is recorded.", *options.RECORDING)]
 Book = Annotated[Path | None, option(
     "Logbook of the bench, in place of --healthy and for the scatter between sessions.", metavar="DIR")]
 LOOK_S = 0.1

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from bowden.cli import options, terminal
 from bowden.cli.app import NothingGivenError, app
-from bowden.cli.options import OutputFile, argument, option
+from bowden.cli.options import argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from bowden.trials import force_paths
 from parameters import InputError
@@ -23,10 +23,9 @@ if TYPE_CHECKING:
 
 Trials = Annotated[list[Path] | None, argument("TRIAL…", "MCAP, or CSV (.gz) with canonical headers.")]
 Holdout = Annotated[list[Path] | None, option("Never fitted, only judged; repeatable.", metavar="TRIAL")]
-Extended = Annotated[Path | None, option(
-    "extended.toml: named effects, for --plant-model and --controller-model.", "-o", "--output", metavar="FILE"),
-    OutputFile("what was found", (".toml",))]
-Report = Annotated[Path | None, option("One HTML page that needs no network.", metavar="FILE"), options.Page]
+Extended = Annotated[Path | None, new_file(
+    "extended.toml: named effects, for --plant-model and --controller-model.", "what was found", ".toml")]
+Report = Annotated[Path | None, new_file("One HTML page that needs no network.", *options.PAGE, name="--report")]
 Figures = Annotated[Path | None, option("Folder for pictures (PNG) and tables (CSV).", metavar="DIR")]
 Tracked = Annotated[tuple[Path, Path] | None, option(
     "With --report: the two trials of bowden verify, shown in it.", metavar="BEFORE AFTER")]

@@ -12,7 +12,7 @@ import typer
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import Bus, OutputFile, SimulatedOptions, argument, option
+from bowden.cli.options import Bus, SimulatedOptions, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from bowden.trials import force_paths
 from parameters import InputError, declarations
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 HealthyTrials = Annotated[list[Path], argument(
     "TRIAL…", "Healthy trials of one bench: MCAP, or CSV (.gz) with canonical headers.")]
-FittedModel = Annotated[Path, option("model.toml to write.", "-o", "--output", metavar="FILE"),
-                        OutputFile("a bench model", (".toml",))]
+FittedModel = Annotated[Path, new_file("model.toml to write.", "a bench model", ".toml")]
 
 
 @app.command()
@@ -92,14 +91,14 @@ def _tell_bench(found: FittedBench) -> None:
         for name, row in found.figures.items()])
 
 
-NewCalibration = Annotated[options.Output, OutputFile("a calibration", (".toml",))]
+NewCalibration = Annotated[Path, new_file("File to write.", "a calibration", ".toml")]
 What = Annotated[str, typer.Argument(
     metavar="WHAT", help="stiffness, swing, friction, sensors, gait (on a calibration) or all.")]
 Guess = Annotated[Path | None, option("Calibration to start from.", "--calibration", metavar="FILE")]
 From = Annotated[list[Path] | None, option(
     "Fit recorded experiments in place of measuring; repeatable.", "--from", metavar="TRIAL")]
-Picture = Annotated[Path | None, option("Draw the paper's Figs. 9 and 10 (png, svg, pdf).", metavar="FILE"),
-                    options.PictureFile]
+Picture = Annotated[Path | None, new_file(
+    "Draw the paper's Figs. 9 and 10 (png, svg, pdf).", *options.PICTURE, name="--picture")]
 NoGait = Annotated[bool, option(
     "Leave out the gait trials that end identify all: the calibration has no discrepancy then.", "--no-gait")]
 

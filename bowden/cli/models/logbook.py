@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import CommandGroup, app
-from bowden.cli.options import OutputFile, argument, option
+from bowden.cli.options import argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
@@ -28,6 +28,7 @@ Most = Annotated[int, option("Newest trials to list.", "--most", metavar="COUNT"
 Number = Annotated[int | None, option("Show one trial instead of the bench.", "--trial", metavar="NUMBER")]
 Limits = Annotated[list[str] | None, option(
     "Forecast when a constant reaches a value, SI; repeatable.", "--limit", metavar="NAME=VALUE")]
+NewTable = Annotated[Path, new_file("File to write.", "a table", ".csv", ".parquet")]
 Table = Annotated[str, option("trials, sessions, constants, verdicts, notes or models.", metavar="NAME")]
 Text = Annotated[str, argument("TEXT", "Maintenance, in words.")]
 Part = Annotated[list[str] | None, option(
@@ -112,9 +113,7 @@ def show_bench(
 
 
 @logbook.command("report")
-def report_bench(
-    folder: Folder, output: Annotated[options.Output, options.Page], limit: Limits = None,
-) -> CommandAnswer:
+def report_bench(folder: Folder, output: options.Page, limit: Limits = None) -> CommandAnswer:
     """Write the bench as one offline HTML page, alarms first.
 
     Example: bowden logbook init bench1 && bowden logbook report bench1 -o bench1.html
@@ -132,10 +131,7 @@ def report_bench(
 
 
 @logbook.command("export")
-def export_logbook(
-    folder: Folder, output: Annotated[options.Output, OutputFile("a table", (".csv", ".parquet"))],
-    table: Table = "trials",
-) -> CommandAnswer:
+def export_logbook(folder: Folder, output: NewTable, table: Table = "trials") -> CommandAnswer:
     """Write one table of a logbook as CSV or Parquet.
 
     Example: bowden logbook init bench1 && bowden logbook export bench1 --table constants -o constants.csv

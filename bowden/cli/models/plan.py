@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import NothingGivenError, app
-from bowden.cli.options import BusAlone, OutputFile, SimulatedOptions, argument, option
+from bowden.cli.options import BusAlone, SimulatedOptions, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
@@ -85,16 +85,13 @@ def _tell_plan(found: ExperimentPlan, good: str) -> None:
 
 
 DiscoveredTrials = Annotated[list[Path] | None, argument("TRIAL…", "Trials of one session, MCAP or CSV.")]
-TermsFile = Annotated[Path | None, option(
-    "extended.toml with the terms, for --plant-model and --controller-model.", "-o", "--output", metavar="FILE"),
-    OutputFile("a law", (".toml",))]
-TermPicture = Annotated[Path | None, option(
-    "Residual against the variable of each term, PNG, SVG or PDF.", metavar="FILE"),
-    OutputFile("a picture", (".png", ".svg", ".pdf"))]
-
-Promoted = Annotated[Path | None, option(
-    "The terms as effects of your own, TOML, for bowden diagnose --effects.", "--promote", metavar="FILE"),
-    OutputFile("an effect", (".toml",))]
+TermsFile = Annotated[Path | None, new_file(
+    "extended.toml with the terms, for --plant-model and --controller-model.", "a law", ".toml")]
+TermPicture = Annotated[Path | None, new_file(
+    "Residual against the variable of each term, PNG, SVG or PDF.", "a picture", ".png", ".svg", ".pdf",
+    name="--picture")]
+Promoted = Annotated[Path | None, new_file(
+    "The terms as effects of your own, TOML, for bowden diagnose --effects.", "an effect", ".toml", name="--promote")]
 
 
 @app.command()

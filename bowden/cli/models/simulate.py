@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import Bus, OutputFile, SimulatedOptions, WalkOptions, argument, option
+from bowden.cli.options import Bus, SimulatedOptions, WalkOptions, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 Trial = Annotated[Path, argument("TRIAL", "MCAP, or CSV (.gz) with rope position and knee angle (none: locked).")]
 Model = Annotated[Path | None, option(
     "model.toml of bowden fit, or extended.toml (default: the nominal bench).", metavar="FILE")]
-Output = Annotated[Path | None, option("CSV of measured and simulated tensions.", "-o", "--output", metavar="FILE"),
-                   OutputFile("a table", (".csv",))]
+Output = Annotated[Path | None, new_file("CSV of measured and simulated tensions.", "a table", ".csv")]
 
 
 @app.command()

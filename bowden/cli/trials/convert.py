@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import NothingGivenError, app
-from bowden.cli.options import argument, option
+from bowden.cli.options import argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
@@ -28,9 +28,10 @@ Sheet = Annotated[str | None, option("Sheet of a workbook (default: the first wi
 Guess = Annotated[bool, option("Write a commented map to -o, guessed from the table, to check.", "--guess")]
 Mat73 = Annotated[bool, option("With .mat: MATLAB v7.3, which is HDF5, in place of v5.", "--mat73")]
 Controllers = Annotated[bool, option("A is the table of a sweep: rank its controllers.", "--controllers")]
-Picture = Annotated[Path | None, option("With --controllers: PNG, SVG or PDF.", metavar="FILE"), options.PictureFile]
+Picture = Annotated[Path | None, new_file(
+    "With --controllers: PNG, SVG or PDF.", *options.PICTURE, name="--picture")]
 Everything = Annotated[bool, option("Every value and signal that differs, in tables.", "--all")]
-Page = Annotated[Path | None, option("Both trials in one HTML page.", "--report", metavar="FILE"), options.Page]
+Page = Annotated[Path | None, new_file("Both trials in one HTML page.", *options.PAGE, name="--report")]
 
 
 @app.command("import")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import argument, option
+from bowden.cli.options import argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from bowden.trials import force_paths
 from parameters import InputError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Any_ = Annotated[Path, argument("FILE", "A trial, CAN log, table or MCAP file.")]
 Recording = Annotated[Path, argument("FILE", "MCAP.")]
-NewRecording = Annotated[options.Output, options.Recording]
+NewRecording = Annotated[Path, new_file("File to write.", *options.RECORDING)]
 Several = Annotated[list[Path], argument("FILE…", "MCAP, two or more.")]
 From = Annotated[float | None, option("Begin, s after the first control cycle.", "--from", metavar="S")]
 To = Annotated[float | None, option("End, s after the first control cycle; excluded.", "--to", metavar="S")]
@@ -152,8 +152,7 @@ def recover(
 
 @app.command()
 def report(
-    trial: options.Trial, output: Annotated[options.Output, options.Page], path: options.ForcePath = None,
-    overwrite: options.Overwrite = False,
+    trial: options.Trial, output: options.Page, path: options.ForcePath = None, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Write a trial as one offline HTML page.
 

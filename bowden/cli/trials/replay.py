@@ -12,7 +12,7 @@ import typer
 from bowden.bench import buses
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import BusAlone, OutputFile, SimulatedOptions, option
+from bowden.cli.options import BusAlone, SimulatedOptions, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from bowden.trials import force_paths
 from parameters import InputError
@@ -49,8 +49,7 @@ Map = Annotated[list[str] | None, option("bus: recorded channel → channel.", "
 NodesOnly = Annotated[bool, option("bus: the nodes' frames, answering a live master.", "--nodes-only")]
 Allowed = Annotated[str | None, option(
     "controller: import this class, which the trial names.", "--allow-controller", metavar="MODULE:CLASS")]
-Residuals = Annotated[Path | None, option("plant: residuals, MCAP.", "-o", "--output", metavar="FILE"),
-                      OutputFile("residuals", (".mcap",))]
+Residuals = Annotated[Path | None, new_file("plant: residuals, MCAP.", "residuals", ".mcap")]
 
 
 @app.command()

@@ -13,11 +13,11 @@ from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import (
     Bus,
-    OutputFile,
     SimulatedOptions,
     StrideOptions,
     WalkOptions,
     WatchOptions,
+    new_file,
     option,
     spelled,
 )
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from bowden.watch.file_watch import WatchedBench
     from bowden.watch.watch_process import TrialWatch
 
-NewTrial = Annotated[options.Output, OutputFile("a trial", (".mcap",))]
+NewTrial = Annotated[Path, new_file("File to write.", "a trial", ".mcap")]
 Web = Annotated[str | None, option("Live page with a stop button; port 0: a free one.", metavar="[HOST:]PORT")]
 
 
