@@ -9,13 +9,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
 from bowden.live.page_process import PageProcess, PageSetup
 from bowden.live.state import FORCES, ROW_NS, WINDOW_S, LiveState
 from eds.bench.bench_network import Network, wire
+from master.cycle.log import CycleSink
 from trial.convert.python_can import flags_of, time_ns_of
 from trial.decode import Follower
 from trial.playback import Playback, PlayerControl, PlayerStatus, ready
@@ -25,15 +26,6 @@ from trial.signals import of_bench, of_paths
 OTHER_PROCESS: Final = ("This process only listens to the bus. To stop: press Ctrl-C where the trial runs, the button "
                         "of its own page (bowden trial --web), or the emergency stop.")
 RECORDED: Final = "This is a recorded trial: there is nothing to stop."
-
-
-class TrialRecorder(Protocol):
-    """Interface of a trial's recorder."""
-
-    frame: Callable[..., None]
-    frames: Callable[..., None]
-    event: Callable[..., None]
-    cycle: Callable[..., None]
 
 
 def setup(name: str, network: Network) -> PageSetup:
@@ -57,7 +49,7 @@ class TrialFeed:
     def __init__(self, page: PageProcess, places: Sequence[int]) -> None:
         self._page, self._places = page, places
 
-    def beside(self, recording: Any) -> Any:
+    def beside(self, recording: CycleSink) -> CycleSink:
         """Return a recorder that also feeds the page."""
         return _LiveRecorder(recording, self._page, self._places)
 
@@ -77,7 +69,7 @@ class _LiveRecorder:
     a row.
     """
 
-    def __init__(self, recording: TrialRecorder, page: PageProcess, places: Sequence[int]) -> None:
+    def __init__(self, recording: CycleSink, page: PageProcess, places: Sequence[int]) -> None:
         self._record, self._page, self._places, self._told_stop = recording, page, places, False
 
     def frame(self, time_ns: int, can_id: int, data: bytes, flags: int = 0, channel: int = 0, sent: bool = False

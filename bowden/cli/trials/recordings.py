@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import argument, new_file, option
@@ -24,6 +25,7 @@ Several = Annotated[list[Path], argument("FILE…", "MCAP, two or more.")]
 From = Annotated[float | None, option("Begin, s after the first control cycle.", "--from", metavar="S")]
 To = Annotated[float | None, option("End, s after the first control cycle; excluded.", "--to", metavar="S")]
 Torn = Annotated[Path, argument("FILE", "A torn recording.")]
+Recovered = Annotated[Path, option("File to write.", "-o", "--output", metavar="FILE")]  # checked by `trial.recover`
 Gait = Annotated[str | None, option("Gait cycles A to B in place of times.", metavar="A-B")]
 
 
@@ -133,7 +135,7 @@ def _written(output: Path, found: EditSummary) -> CommandAnswer:
 
 @app.command()
 def recover(
-    torn: Torn, output: NewRecording, overwrite: options.Overwrite = False,
+    torn: Torn, output: Recovered, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Repair a torn recording.
 
@@ -143,6 +145,7 @@ def recover(
     """
     from trial.recover import recover as recovered
 
+    output_files.refuse_ending(output, ".mcap", what="a recording")
     with terminal.progress(f"recovering {torn}") as update:
         found = recovered(torn, output, overwrite=overwrite, progress=update)
     return CommandAnswer({"trial": str(output), **asdict(found)}, (
