@@ -18,7 +18,7 @@ from logbook.bench_state import CANNOT, CONSTANTS, BenchState, ConstantCourse, D
 from logbook.database import Logbook, TrialEntry
 from parameters import InputError
 from parameters.files import write_whole
-from trial.report.words import quantity
+from trial.report.words import quantity, words
 
 WIDTH, HEIGHT = 420.0, 44.0
 TRIALS: Final = 500
@@ -142,7 +142,7 @@ def _changes(state: BenchState) -> str:
     if not state.changes:
         return ""
     rows = "".join(
-        f"<tr><td>{escape(c.effect)}</td><td>{c.course}</td><td>{escape(str(state.labels.get(c.since)))}</td>"
+        f"<tr><td>{escape(words(c.effect))}</td><td>{c.course}</td><td>{escape(str(state.labels.get(c.since)))}</td>"
         f"<td class='number'>{c.nats:.1f}</td></tr>" for c in state.changes[:8])
     return ("<h2>Evidence of a change over all sessions</h2><p><small>Linear in the effect: it dates a change. The "
             "diagnosis of recorded trials names it where one session alone shows it.</small></p>"

@@ -26,7 +26,7 @@ from parameters import InputError
 from physics.effects.hypotheses import HYPOTHESES
 from physics.forward.path_constants import FREE, NAMES, TABLE, coordinates_of, values
 from physics.laws import Array
-from trial.report.words import quantities
+from trial.report.words import quantities, words
 
 MOST_TRIALS: Final = 4
 """Most reference trials, and most trials of the session since the change: more cost seconds each and add less than
@@ -265,11 +265,11 @@ class BenchState:
         if self.verdict == UNCHANGED:
             return [f"No change in {len(self.sessions)} sessions beyond their scatter; the first "
                     f"{self.needed} are the reference."]
-        best, names = self.alarms[0], ", ".join(c.effect for c in self.alarms)
+        best, names = self.alarms[0], ", ".join(words(c.effect) for c in self.alarms)
         low, high = (self.labels.get(s) for s in (best.since_low, best.since_high))
         when = f"session {self.labels.get(best.since)}" + ("" if low == high else f" (95 %: {low} … {high})")
-        first = (f"Changed since {when}, as a {best.course}: {', '.join(self.named())}; {best.nats:.0f} nats over all "
-                 "sessions.")
+        first = (f"Changed since {when}, as a {best.course}: {', '.join(map(words, self.named()))}; "
+                 f"{best.nats:.0f} nats over all sessions.")
         cause = self.cause or Cause(None, remark="not diagnosed yet.")
         of = f"session {self.labels.get(cause.session)} against {', '.join(map(str, self._referred(cause)))}"
         if cause.named:

@@ -15,6 +15,7 @@ from bowden import model_files, output_files
 from bowden.model_files import BenchModel, Model
 from bowden.trials.recorded_trial import Trial
 from parameters import InputError
+from trial.report.words import words
 
 if TYPE_CHECKING:
     from diagnosis.findings import Findings
@@ -114,7 +115,7 @@ class DiagnosisResult:
     def _repr_html_(self) -> str:
         """Return a table for a notebook: verdict, causes with their parameters, ambiguity set, warnings."""
         rows = "".join(
-            f"<tr><td>{escape(cause['effect'].replace('_', ' '))}</td><td>{escape(cause['site'])}</td>"
+            f"<tr><td>{escape(words(cause['effect']))}</td><td>{escape(cause['site'])}</td>"
             f"<td>{escape(name.replace('_', ' '))}</td><td>{one['value']:.4g} {escape(one['unit'])}</td>"
             f"<td>{one['low']:.4g} … {one['high']:.4g}</td></tr>"
             for cause in self.causes for name, one in cause["parameters"].items())
@@ -122,7 +123,7 @@ class DiagnosisResult:
                  f"{rows}</table>" if rows else "")
         sentences = list(self.warnings)
         if len(self.rivals) > 1:
-            sentences.insert(0, f"These data cannot separate {', '.join(self.rivals)}".replace("_", " ") + ".")
+            sentences.insert(0, f"These data cannot separate {', '.join(map(words, self.rivals))}.")
         remarks = "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
         return f"<p><b>verdict: {escape(self.verdict)}</b></p>{table}{remarks}"
 

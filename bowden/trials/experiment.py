@@ -74,8 +74,9 @@ class Experiment:
         model = self.model if self.model is None else (
             Path(self.model) if isinstance(self.model, str | Path) else model_files.given(self.model))
         return session.prepare_gait(
-            sections, model, bus, peak_given=self.peak_n is not None, period_given=self.period_s is not None, knee=knee,
-            desired=desired, dry_run=self.dry_run, script=None if self.name == GAIT else self.name, progress=progress)
+            sections, model, bus, peak_given=self.peak_n is not None, period_given=self.period_s is not None,
+            settle_given=self.settle is not None, knee=knee, desired=desired, dry_run=self.dry_run,
+            script=None if self.name == GAIT else self.name, progress=progress)
 
     def _overridden(self, section: Any, names: tuple[str, ...]) -> Any:
         given = {name: getattr(self, name) for name in names}

@@ -234,18 +234,23 @@ def prepare(
 
 def prepare_gait(
     sections: Mapping[str, Any], calibration: Path | BenchModel | None, chosen: BusSettings, *, peak_given: bool,
-    period_given: bool, knee: Path | None = None, desired: Path | None = None, dry_run: bool = False,
+    period_given: bool, settle_given: bool, knee: Path | None = None, desired: Path | None = None, dry_run: bool = False,
     controller_model: Path | BenchModel | None = None, script: str | None = None, progress: Progress = SILENT,
 ) -> PreparedTrial:
     """Join sections and the files of knee and desired force to a gait trial, with remarks on these files.
 
-    `peak_given`, `period_given`: the user chose them, so that a file does not.  Raises `InputError` as `prepare` does.
+    `peak_given`, `period_given`: the user chose them, so that a file does not.  Unless `settle_given`, the last cycle is
+    in the figures.  Raises `InputError` as `prepare` does.
     """
     from bowden.trials import provenance
 
     expected, gait, notes = reference(
         sections["gait"], knee, desired, period_given=period_given, peak_given=peak_given, walk=sections["walk"],
         rate_hz=sections["network"].rate_hz)
+    cycles = sections["walk"].strides or gait.cycles
+    if not settle_given and gait.settle >= cycles:
+        notes.append(f"settle = {gait.settle} leaves none of {cycles} cycles; the figures leave out {cycles - 1}.")
+        gait = dataclasses.replace(gait, settle=cycles - 1)
     prepared = prepare(
         {**sections, "gait": gait}, expected, calibration, chosen, dry_run=dry_run, controller_model=controller_model,
         files=provenance.curves(knee=knee, desired=desired), script=script, knee=knee)

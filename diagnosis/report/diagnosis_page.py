@@ -20,7 +20,8 @@ from estimation.data.table import Table
 from physics.effects.catalogue import CATALOGUE
 from trial import read
 from trial.report import bench_drawing
-from trial.report.page import Page, Tile, number
+from trial.report.page import NamedText, Page, Tile, number
+from trial.report.words import words
 
 VERDICTS: Final = ("Changed:", "The trial agrees", "The data depart")
 """Beginnings of the sentence of the headline that states the verdict."""
@@ -126,11 +127,12 @@ def _summary(page: Page, found: Findings) -> None:
     if found.verdict == "unexplained" and (left := where(found)):
         page.text(left)
     if found.causes:
-        page.tiles([Tile(c["effect"], "", c["site"],
+        page.tiles([Tile(words(c["effect"]), "", c["site"],
                          f"reduces by {number(c['gain_percent'], 3)} % the residual that it reduces most")
                     for c in found.causes])
         page.table(("cause", "value", "law", "how it shows"), [
-            (c["effect"], f"{name} = {interval(one)}", CATALOGUE[c["effect"]].law, CATALOGUE[c["effect"]].signature)
+            (NamedText(words(c["effect"]), c["effect"]), f"{words(name)} = {interval(one)}",
+             CATALOGUE[c["effect"]].law, CATALOGUE[c["effect"]].signature)
             for c in found.causes for name, one in c["parameters"].items()])
     figure_tables.relations(page, found)
     figure_tables.rivals(page, found)

@@ -57,7 +57,7 @@ def rivals(page: Page, found: Findings) -> None:
         return
     page.heading("Ambiguity set: effects that these data do not separate")
     page.table(("effect", "what it means", "experiment that would separate them", "what to look at"), [
-        (name + (" (chosen)" if name in chosen else ""), CATALOGUE[name].words,
+        (NamedText(words(name) + (" (chosen)" if name in chosen else ""), name), CATALOGUE[name].words,
          *EXPERIMENTS[CATALOGUE[name].experiment].told(found.of_rig)) for name in found.rivals])
 
 
@@ -72,11 +72,11 @@ def ranking(page: Page, found: Findings) -> None:
               f"named from {evidence['named_nats']:g} nats; all that reach {100 * SET_SHARE:g} % of the best are in "
               "the ambiguity set.", "note")
     page.table(("effect", "site", "log Bayes factor (nats)", "judged"), [
-        (name, CATALOGUE[name].site, gain, _judged(found, name))
+        (NamedText(words(name), name), CATALOGUE[name].site, gain, _judged(found, name))
         for name, gain in evidence["log_bayes_factors"].items()])
     page.heading("Constants of the model: in the reference condition, and in this trial")
     page.table(("constant", "unit", "reference", "trial", "95 % low", "high", "change (session σ)"), [
-        (name, row["unit"], row["from"], row["to"], row["low"], row["high"], row["sessions"])
+        (NamedText(words(name), name), row["unit"], row["from"], row["to"], row["low"], row["high"], row["sessions"])
         for name, row in evidence["shifts"].items()], tall=True)
 
 
@@ -124,7 +124,7 @@ def _limit(name: str, one: Mapping[str, Any], size: float | None, named: bool) -
     if named and size is not None:
         smallest = size if smallest is None else min(smallest, size)
     seen = "yes: found" if named else _seen(smallest, parameter)
-    return (name, one["parameter"], smallest, one["unit"], likely, seen)
+    return (NamedText(words(name), name), words(one["parameter"]), smallest, one["unit"], likely, seen)
 
 
 def _seen(smallest: float | None, parameter: Any) -> str:

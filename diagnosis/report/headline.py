@@ -15,6 +15,7 @@ from physics.effects.carriers import SITES
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
 from trial.report.page import number
+from trial.report.words import words
 
 NAMES: Final = {"tension_start_n": "START", "tension_end_n": "END", "servo_force_n": "the drive's force"}
 """Outputs whose error the first sentence gives, in words."""
@@ -109,7 +110,7 @@ def law_sentences(laws: Laws) -> Iterator[str]:
               f"95 %: {f.low:.0f} … {f.high:.0f})" for name, f in laws.errors.items()]
     yield f"Error on held-out cycles, session adapted → with the law: {', '.join(gained)}."
     if laws.nearly:
-        yield f"Nearly as likely: {', '.join(f'{name} ({nats:.0f} nats)' for name, nats in laws.nearly[:3])}."
+        yield f"Nearly as likely: {', '.join(f'{words(name)} ({nats:.0f} nats)' for name, nats in laws.nearly[:3])}."
     yield f"To confirm: {laws.experiment}."
 
 
@@ -184,7 +185,7 @@ def _limits(found: Findings) -> Iterator[str]:
     shown = {name: one for name, one in (found.detection_limit or {}).items() if one["value"] is not None}
     if shown:
         yield "Smallest change that this trial would show: " + ", ".join(
-            f"{name} by {number(one['value'], 2)} {one['unit']}".rstrip()
+            f"{words(name)} by {number(one['value'], 2)} {one['unit']}".rstrip()
             for name, one in shown.items()) + "."
 
 
@@ -192,7 +193,7 @@ def _set(found: Findings) -> Iterator[str]:
     """Yield the sentences on the other effects of the ambiguity set, and on the experiment that separates them."""
     among = [name for name in found.rivals if name not in {cause["effect"] for cause in found.causes}]
     if among:
-        yield f"These data do not separate it from: {', '.join(among)}."
+        yield f"These data do not separate it from: {', '.join(map(words, among))}."
     if found.experiment is not None:
         motion, reads = EXPERIMENTS[found.experiment].told(found.of_rig)
         named = "" if found.of_rig else f"{found.experiment}: "
@@ -216,7 +217,7 @@ def _cause(cause: Mapping[str, Any]) -> str:
     values = ", ".join(change(cause, name) for name in cause["parameters"])
     peak = " and ".join(f"{NAMES[name]} by {value:+.2f} N" for name, value in cause.get("at_peak_n", {}).items())
     sure = f", probability {100.0 * cause['probability']:.0f} %" if "probability" in cause else ""
-    return (f"{effect.name} at {effect.site} ({effect.law}){sure}: {values}."
+    return (f"{words(effect.name)} at {effect.site} ({effect.law}){sure}: {values}."
             + (f" At the peak of START it changes {peak}." if peak else ""))
 
 
@@ -229,7 +230,7 @@ def to_do(found: Findings) -> str:
 
 
 def change(cause: Mapping[str, Any], name: str) -> str:
-    """Return a parameter as text: name old → new unit (95 %: low … high), without an unknown old value.
+    """Return a parameter as text: name in words, old → new unit (95 %: low … high), without an unknown old value.
 
     Lengths and times below 0.1 m or s are in mm and ms.
     """
@@ -238,7 +239,7 @@ def change(cause: Mapping[str, Any], name: str) -> str:
     scale, symbol = (1e3, f"m{one['unit']}") if small else (1.0, one["unit"])
     value, low, high = (number(scale * one[key], 3) for key in ("value", "low", "high"))
     before = "" if old is None else f"{number(scale * old, 3)} → "
-    return f"{name} {before}{value}{f' {symbol}' if symbol else ''} (95 %: {low} … {high})"
+    return f"{words(name)} {before}{value}{f' {symbol}' if symbol else ''} (95 %: {low} … {high})"
 
 
 def interval(parameter: Mapping[str, Any]) -> str:
@@ -266,6 +267,6 @@ def strongest(found: Findings) -> tuple[str, Figures] | None:
 
 def _shifts(shifts: Mapping[str, Mapping[str, Any]], least: float = 3.0, most: int = 3) -> list[str]:
     """Return the `most` constants that changed by `least` session σ or more, largest change first, in words."""
-    rated = [(abs(row["sessions"]), f"{name} {row['from']:.3g} → {row['to']:.3g} {row['unit']}".rstrip())
+    rated = [(abs(row["sessions"]), f"{words(name)} {row['from']:.3g} → {row['to']:.3g} {row['unit']}".rstrip())
              for name, row in shifts.items() if row["sessions"] is not None and abs(row["sessions"]) >= least]
     return [text for _, text in sorted(rated, reverse=True)[:most]]

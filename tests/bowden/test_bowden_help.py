@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 import typer.main
@@ -44,3 +45,24 @@ def test_no_command_shows_the_help(bowden: Callable[..., tuple[int, str, str]]) 
 def test_an_unknown_command_is_one_sentence(bowden: Callable[..., tuple[int, str, str]]) -> None:
     status, out, err = bowden("trail")
     assert (status, out, err.count("\n")) == (2, "", 1)
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (("diagnose", "--help"), "Reference trial of the healthy bench"),
+    (("logbook", "--help"), "Track a bench's constants over months."),
+    (("--help",), "Track a bench's constants over months."),
+])
+def test_a_help_names_what_its_reader_has(
+    bowden: Callable[..., tuple[int, str, str]], words: tuple[str, ...], said: str,
+) -> None:
+    assert said in " ".join(bowden(*words)[1].split())
+
+
+PAGES = sorted((Path(__file__).parents[2] / "docs").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_first_paragraph_of_a_page_is_for_its_reader(page: Path) -> None:
+    text = page.read_text(encoding="utf-8").partition("\n# ")[2] or page.read_text(encoding="utf-8")
+    first = next(block for block in text.split("\n\n")[1:] if not block.startswith("<!--"))
+    assert "hoever" in first

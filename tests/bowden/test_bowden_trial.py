@@ -114,6 +114,14 @@ def test_a_trial_imports_no_library_that_it_does_not_use(tmp_path: Path) -> None
     assert spared & set(told.stderr.split()) == set()
 
 
+@pytest.mark.parametrize("more", [(), ("--settle", 0)])
+def test_the_only_cycle_is_in_the_figures(tmp_path: Path, more: tuple[object, ...]) -> None:
+    told = command("trial", "--cycles", 1, *more, "--period", 1.1, "--json", "-o", "one.mcap", cwd=tmp_path)
+    assert told.returncode == 0, told.stderr
+    assert json.loads(told.stdout)["relative_rmse_percent"] > 0
+    assert ("settle = 1 leaves none of 1 cycles; the figures leave out 0." in told.stderr) == (not more)
+
+
 @pytest.mark.exhaustive
 def test_one_seed_one_file_in_any_process(tmp_path: Path) -> None:
     short = ("trial", "--cycles", 1, "--settle", 0, "--period", 1.1, "--json")

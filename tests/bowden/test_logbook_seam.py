@@ -63,6 +63,6 @@ def test_a_change_is_named_as_the_diagnosis_names_it_whatever_the_order_of_entry
     assert alarm["among"] == whole["class"] == ["start_gain"]
     assert alarm["part"] == whole["part"]
     first = bowden("logbook", "show", "dates").stdout.splitlines()[0]
-    assert first.startswith(f"Changed since session day {BEGINS}, as a step: start_gain")
+    assert first.startswith(f"Changed since session day {BEGINS}, as a step: START gain")
     planned = told("plan", "--logbook", "dates")
     assert planned["class"] == alarm["among"]

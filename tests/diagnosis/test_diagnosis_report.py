@@ -29,6 +29,8 @@ from diagnosis.report.residuals import concentrated
 from estimation.data.table import Table, table
 from parameters import InputError
 from physics.bench_model import BenchModel
+from physics.effects.catalogue import CATALOGUE
+from physics.effects.separating_experiments import EXPERIMENTS
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
 from trial.report.page import Page
@@ -88,17 +90,19 @@ def test_the_page_draws_every_signal_from_every_side(found: Findings, measured: 
 
 def test_the_page_ranks_what_was_fitted(found: Findings, measured: Table) -> None:
     html = build(found, [measured], []).html().rpartition("What was tried")[2]
-    rows = re.findall(r"<td[^>]*>(cable_friction|fabric_friction|slack)</td>" + 3 * r"<td[^>]*>([^<]*)</td>"
+    rows = re.findall(r"<td[^>]*>(?:<[^>]*>)*(cable friction|fabric friction|slack)(?:<[^>]*>)*</td>"
+                      + 3 * r"<td[^>]*>([^<]*)</td>"
                       + "</tr>", html)
     assert [(row[0], row[3]) for row in rows] == [
-        ("cable_friction", "named"), ("fabric_friction", "in the ambiguity set"), ("slack", "less likely")]
+        ("cable friction", "named"), ("fabric friction", "in the ambiguity set"), ("slack", "less likely")]
 
 
 def test_the_page_says_what_could_have_been_seen(found: Findings, measured: Table) -> None:
     html = build(found, [measured], []).html()
-    rows = re.findall(r"<td[^>]*>(cable_friction|slack)</td>" + 5 * r"<td[^>]*>([^<]*)</td>", html)
+    rows = re.findall(r"<td[^>]*>(?:<[^>]*>)*(cable friction|slack)(?:<[^>]*>)*</td>"
+                      + 5 * r"<td[^>]*>([^<]*)</td>", html)
     assert [(row[0], row[2], row[5]) for row in rows] == [
-        ("cable_friction", "0.02", "yes: found"), ("slack", "–", "no")]
+        ("cable friction", "0.02", "yes: found"), ("slack", "–", "no")]
 
 
 def test_first_come_error_cause_ambiguity_set_and_next_step(found: Findings, measured: Table) -> None:
@@ -106,11 +110,11 @@ def test_first_come_error_cause_ambiguity_set_and_next_step(found: Findings, mea
     assert told[0] == ("The simulation of this bench misses START and END by 1.60 N in the reference condition, "
                        "1.50 N with this session's constants adapted and 0.45 N with what is named below, on cycles "
                        "that no fit has seen; reference trials miss each other by 0.23 N.")
-    assert told[1].startswith("Changed: friction path. cable_friction at cable (")
+    assert told[1].startswith("Changed: friction path. cable friction at cable (")
     assert "mu1 0.08 → 0.16 (95 %: 0.1 … 0.2)" in told[1]
     assert told[2] == "It removes 70 % (95 %: 66 … 73) of the error with the session adapted."
     assert told[3].startswith("It is at the rope in its sheath, between START and the fabric. Look for a kink, ")
-    assert told[4] == "These data do not separate it from: fabric_friction."
+    assert told[4] == "These data do not separate it from: fabric friction."
     assert told[5].startswith("To separate them, record known_bend: ")
     assert told[6] == "Constants that moved most: cable 0.13 → 0.25."
     html = build(found, [measured], []).html().partition("<main>")[2]
@@ -118,6 +122,17 @@ def test_first_come_error_cause_ambiguity_set_and_next_step(found: Findings, mea
         "mu1 0.08", 'class="bench"', "START (measured) over END (measured)", "Error of the simulation",
         "misses START and END", "To separate them", "Root mean square on cycles", "over gait phase", "What was tried")]
     assert first == sorted(first)
+
+
+@pytest.mark.parametrize("effect", [*CATALOGUE])
+def test_no_name_of_a_program_is_in_the_first_lines(found: Findings, effect: str) -> None:
+    parameters = {p.name: {"value": p.likely[1], "low": p.likely[0], "high": p.likely[1], "unit": p.unit}
+                  for p in CATALOGUE[effect].parameters}
+    cause = {"effect": effect, "site": CATALOGUE[effect].site, "gain_percent": 30.0, "parameters": parameters}
+    shifts = {"cable_travel": {"from": 1e-5, "to": 3e-5, "unit": "m", "sessions": 5.0}}
+    told = dataclasses.replace(found, causes=[cause], rivals=[effect, *CATALOGUE], evidence={"shifts": shifts})
+    raw = re.findall(r"\b[a-z]+_[a-z]\w*", " ".join(headline(told)).replace(f"({CATALOGUE[effect].law})", ""))
+    assert set(raw) <= set(EXPERIMENTS)  # names that `bowden trial --experiment` takes
 
 
 @pytest.mark.parametrize(("changed", "sentence"), [
@@ -182,7 +197,7 @@ def test_a_length_is_written_in_millimetres() -> None:
     cause: dict[str, Any] = {
         "effect": "presliding", "site": "cable", "gain_percent": 30.0, "was": {"presliding": 4.73e-5}, "parameters": {
             "presliding": {"value": 4.67e-4, "low": 3.58e-4, "high": 5.77e-4, "unit": "m"}}}
-    assert change(cause, "presliding") == "presliding 0.0473 → 0.467 mm (95 %: 0.358 … 0.577)"
+    assert change(cause, "presliding") == "pre-sliding 0.0473 → 0.467 mm (95 %: 0.358 … 0.577)"
     far = {**cause, "parameters": {"presliding": {"value": 0.5, "low": 0.4, "high": 0.6, "unit": "m"}}}
     assert "0.5 m (95 %: 0.4 … 0.6" in change(far, "presliding")
 
@@ -254,7 +269,7 @@ def test_a_fault_of_the_wire_is_told_as_one(measured: Table) -> None:
     told = Findings("ambiguous", [cause], ["lost_pdo", "late_pdo"], "bus_log", {"bus": Figures("s", None, 1e-3, 1e-3)},
                     part="wire", evidence={})
     html = build(told, [measured], []).html()
-    assert "do not separate it from: late_pdo" in html
+    assert "do not separate it from: late PDO" in html
     assert "Mend the wire or the converter, record again" in html
     assert "against what a sound wire and converter give" in html
 

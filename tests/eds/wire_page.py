@@ -15,8 +15,9 @@ from eds.pdo_plan import PdoPlan
 _HEAD = """\
 # The wire
 
-One page on what goes over the bus, with the default `[network]`. Generated from `eds/` by
-`python -m tests.eds.wire_page docs/wire.md`; change the declarations, not this page.
+For whoever reads or sends frames of this bench: what goes over the bus, with the default
+`[network]`. Generated from `eds/` by `python -m tests.eds.wire_page docs/wire.md`; change the declarations,
+not this page.
 
 Node ids: {nodes}. The master makes the SYNC. Every node and the master send a heartbeat
 every {heartbeat} ms; each node misses the master's after {timeout} ms (0x1016).

@@ -13,7 +13,8 @@ from physics.effects.separating_experiments import EXPERIMENTS
 
 HEAD = """# Effects
 
-What can make a bench differ from its simulation. Generated from `physics/effects/declarations.py` by
+For whoever reads an effect's name: what can make a bench differ from its simulation.
+Generated from `physics/effects/declarations.py` by
 `python -m tests.physics.effects_page docs/effects.md`; change the declarations, not this page. Values are SI.
 *Likely* is where a search starts; *bounds* are hard. *Neutral* is the value at which an effect is absent, — where
 only a calibration knows the healthy one.

@@ -25,6 +25,8 @@ WORDS: Final = {
     "sync_jitter_ns": "SYNC against its nominal time", "step_duration_ns": "controller's step",
 }
 """Signals in words, by column."""
+SPELT: Final = {"start": "START", "end": "END", "pdo": "PDO", "stribeck": "Stribeck", "presliding": "pre-sliding"}
+"""Parts of the names of effects, constants and other columns that are not written in small letters or as one word."""
 UNITS: Final = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "rad": ("°", 180.0 / math.pi),
                 "rad/s": ("°/s", 180.0 / math.pi), "m/N": ("mm/N", 1e3), "ns": ("µs", 1e-3), "1": ("", 1.0)}
 """Unit shown and factor to it, by SI unit; others are shown as they are."""
@@ -34,14 +36,14 @@ SMALL: Final = 0.1
 
 
 def words(name: str) -> str:
-    """Return a column's name in words; of one of several paths with the path before it."""
+    """Return a column, an effect or a constant in words; of one of several paths with the path before it."""
     path, dot, own = name.rpartition(".")
     if own in WORDS:
         text = WORDS[own]
     elif "_pdo_" in own:
         text = f"{own.partition('_pdo_')[0]} inputs"
     else:
-        text = own.removesuffix("_ns").replace("_", " ")
+        text = " ".join(SPELT.get(part, part) for part in own.removesuffix("_ns").split("_"))
     return f"{path}: {text}" if dot else text
 
 

@@ -168,17 +168,19 @@ def _each(
 
 
 def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
+    from trial.report.words import words
+
     if lowpass:
         print(f"Every signal low-passed at {lowpass:g} Hz, without phase.")
     for trial, one in told.items():
         print(f"{trial}: {one['verdict']}")
         for cause in one["causes"]:
-            terminal.sentence(f"{cause['effect']}: {_parameters(cause['parameters'])}", "    ")
+            terminal.sentence(f"{words(cause['effect'])}: {_parameters(cause['parameters'])}", "    ")
         if one.get("candidates"):
             terminal.sentence(
                 "no cause named: it ran on the packaged nominal calibration; run bowden identify first", "    ")
         if len(one["class"]) > len(one["causes"]):
-            terminal.sentence(f"cannot be told apart: {', '.join(one['class'])}", "    ")
+            terminal.sentence(f"cannot be told apart: {', '.join(map(words, one['class']))}", "    ")
         todo = one["warnings"][0] if one["verdict"] == "refused" else one["experiment"]
         if todo:
             terminal.sentence(f"why not: {todo}" if one["verdict"] == "refused" else f"next: {todo}", "    ")
@@ -236,7 +238,9 @@ def _tell_signals(signals: dict[str, Any]) -> None:
 
 
 def _parameters(parameters: dict[str, Any]) -> str:
-    return ", ".join(f"{name} {value['value']:.4g} [{value['low']:.4g}, {value['high']:.4g}] {value['unit']}"
+    from trial.report.words import words
+
+    return ", ".join(f"{words(name)} {value['value']:.4g} [{value['low']:.4g}, {value['high']:.4g}] {value['unit']}"
                      for name, value in parameters.items())
 
 

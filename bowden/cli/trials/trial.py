@@ -72,8 +72,8 @@ def trial(
         sections["gait"] = walk.gait(sections["gait"])
         prepared = session.prepare_gait(
             sections, calibration, chosen, peak_given=walk.peak is not None, period_given=walk.period is not None,
-            knee=knee, desired=desired, dry_run=dry_run, controller_model=controller_model, script=experiment,
-            progress=terminal.TERMINAL)
+            settle_given=walk.settle is not None, knee=knee, desired=desired, dry_run=dry_run,
+            controller_model=controller_model, script=experiment, progress=terminal.TERMINAL)
     result = _performed(prepared, sections["network"], output, picture, web, bench, chosen, overwrite=overwrite)
     if entered is not None and result["trial"] is not None:
         from bowden.models import logbook_entries
