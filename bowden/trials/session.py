@@ -234,13 +234,14 @@ def prepare(
 
 def prepare_gait(
     sections: Mapping[str, Any], calibration: Path | BenchModel | None, chosen: BusSettings, *, peak_given: bool,
-    period_given: bool, settle_given: bool, knee: Path | None = None, desired: Path | None = None, dry_run: bool = False,
-    controller_model: Path | BenchModel | None = None, script: str | None = None, progress: Progress = SILENT,
+    period_given: bool, settle_given: bool = True, knee: Path | None = None, desired: Path | None = None,
+    dry_run: bool = False, controller_model: Path | BenchModel | None = None, script: str | None = None,
+    progress: Progress = SILENT,
 ) -> PreparedTrial:
     """Join sections and the files of knee and desired force to a gait trial, with remarks on these files.
 
-    `peak_given`, `period_given`: the user chose them, so that a file does not.  Unless `settle_given`, the last cycle is
-    in the figures.  Raises `InputError` as `prepare` does.
+    `peak_given`, `period_given`: the user chose them, so that a file does not.  Unless `settle_given`, the last cycle
+    is in the figures.  Raises `InputError` as `prepare` does.
     """
     from bowden.trials import provenance
 
