@@ -439,7 +439,7 @@ def start() -> Iterator[Row]:
     """Measure `bowden --help`, a short trial and the imports of its libraries, and the first compilation."""
     bare = "import typer; a = typer.Typer(); a.command('a')(lambda: None); a.command('b')(lambda: None); a()"
     with tempfile.TemporaryDirectory() as folder:
-        short = f"trial --cycles 1 --settle 0 --overwrite -o {folder}/1.mcap"
+        short = f"trial --cycles 1 --overwrite -o {folder}/1.mcap"
         for line, digits, name, code, times in (
                 ("--help", 2, "a bare Typer program of two commands", bare, 15),
                 (short, 1, "import of its libraries, and one function compiled by numba", IMPORTS, 5)):

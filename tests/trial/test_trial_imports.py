@@ -252,6 +252,7 @@ CSV_REFUSED = {
     "a column twice": ("time_s,cycle,cycle\n0,0,0\n", "names the column 'cycle' 2 times"),
     "a word": ("time_s,cycle\n0,0\n1,zero\n", "row 3: cycle = 'zero' is not a number"),
     "an infinite value": ("time_s,cycle\n0,0\n1,inf\n", "row 3: cycle = inf is not finite"),
+    "a value whose square overflows": ("time_s,cycle\n0,0\n1,1e300\n", "row 3: cycle = 1e\\+300 is larger than any"),
     "a short row": ("time_s,cycle\n0,0\n1\n", "row 3 has 1 cells, the header 2"),
     "a row without time": ("time_s,cycle\n0,0\n,1\n", "row 3 has no time"),
     "time that falls": ("time_s,cycle\n0,0\n1,0\n0.5,1\n", r"row 4: time_s = 0.5 does not rise"),

@@ -17,6 +17,8 @@ from parameters import InputError
 
 Floats = NDArray[np.float64]
 
+SQUARED = 1e100
+"""Largest magnitude of a cell; the mean square of larger ones overflows a float64."""
 TO_SI = {  # unit of a file: (unit of a signal, factor)
     "m": ("m", 1.0), "mm": ("m", 1e-3), "cm": ("m", 1e-2), "um": ("m", 1e-6), "µm": ("m", 1e-6), "in": ("m", 0.0254),
     "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "rad": ("rad", 1.0), "deg": ("rad", math.pi / 180),
@@ -91,7 +93,12 @@ class LabTable:
             if math.isinf(_float(cell)):
                 raise InputError(f"{where}{shown} is not finite; leave an unknown cell empty.")
             raise InputError(f"{where}{shown!r} is not a number; mend that cell.")
-        return self.values[self._place[name]]
+        values = self.values[self._place[name]]
+        beyond = np.flatnonzero(np.abs(values) > SQUARED)
+        if len(beyond):
+            raise InputError(f"{self.path}: row {self.rows[beyond[0]]}: {name} = {values[beyond[0]]:g} is larger than "
+                             "any measured value; leave an unknown cell empty.")
+        return values
 
     def unit(self, name: str) -> str:
         """Return the unit that the file states for a column, as `TO_SI` spells it; empty where it states none."""
