@@ -85,6 +85,12 @@ def most_unpacked(size: int) -> int:
     return max(UNPACKED_FLOOR, UNPACKED_RATIO * size)
 
 
+def unpacked_ending(path: Path) -> str:
+    """Return the ending of a file's name in lower case; of a file packed by gzip the one before .gz."""
+    endings = [ending.lower() for ending in path.suffixes] or [""]
+    return endings[-2] if endings[-1] == ".gz" and len(endings) > 1 else endings[-1]
+
+
 class BoundedFile(io.RawIOBase):
     """A CAN log read as a stream, unpacked if its name ends in .gz, within bounds.
 

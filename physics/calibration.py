@@ -184,11 +184,6 @@ def scalars() -> tuple[str, ...]:
     return tuple(name for name, _, _ in declarations(Calibration))
 
 
-def neutral(name: str) -> float:
-    """Return the neutral value of a scalar: without any correction."""
-    return float(getattr(Calibration(), name))
-
-
 def nominal() -> Calibration:
     """Return the packaged calibration: the paper's numbers and marked assumptions, belonging to no bench."""
     return Calibration()

@@ -70,12 +70,6 @@ def cable_loss(desired_n: T, exponent: float, velocity: T) -> T:
     return loss
 
 
-def capstan(tension_n: T, exponent: float | T) -> T:
-    """Return the tight side's tension of (6), N; `exponent` is μ2·φ."""
-    tight: T = tension_n * np.exp(exponent)
-    return tight
-
-
 def fabric_loss(desired_n: T, exponent: float | T, strain_rate: T) -> T:
     """Return the fabric's friction force fT of (8), N, when its output is to be `desired_n`.
 

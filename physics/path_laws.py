@@ -72,16 +72,6 @@ def capstan_share(exponent: float) -> float:
 
 
 @njit(inline="always")
-def stretch(force: float, linear: float, bend: float) -> float:
-    """Return the stretch of (10) at a tension, m, continued along its tangent from 90 % of the turning point."""
-    if bend < 0.0:
-        last = -0.5 * TANGENT_FROM * linear / bend
-        if force > last:
-            return linear * last + bend * last * last + (linear + 2.0 * bend * last) * (force - last)
-    return linear * force + bend * force * force
-
-
-@njit(inline="always")
 def stretched(elongation: float, b: float, a4: float, half: float, e_tangent: float, k_tangent: float) -> float:
     """Return the tension, N, of an elongation: inverse of the quadratic stretch.
 

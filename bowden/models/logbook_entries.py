@@ -164,17 +164,10 @@ def _described(path: Path, figures: Mapping[str, Any] | None, force_path: str) -
 
 
 def _figures(recorded: read.Trial) -> dict[str, Any]:
-    from trial import metrics
-    from trial.report.overview import known, setting
-    from trial.report.trial_page import NEEDED
+    from trial.report.compare_page import judged
 
-    judged = setting(recorded)
-    if judged.peak_n is None or judged.rate_hz is None or not judged.cycles or any(
-            known(recorded, name) is None for name in NEEDED):
-        return {}
-    found = metrics.figures(recorded.columns, peak_n=judged.peak_n, rate_hz=judged.rate_hz, cycles=judged.cycles,
-                            settle=judged.settle)
-    return {name: found.get(name) for name in FIGURES}
+    found = judged(recorded)
+    return {name: found.get(name) for name in FIGURES} if found else {}
 
 
 def _recorded_date(recorded: read.Trial) -> dict[str, str]:

@@ -168,9 +168,9 @@ class TrueEnd:
         return np.where(self._times[places] == time_ns, self._values[places], np.nan)
 
 
-def true_end(truth: Path, recorded: read.Trial, prefix: str = "") -> Floats:
-    """Return true END, N, at the rows of a trial in memory; NaN at a row without one; `prefix`: the path's."""
-    return TrueEnd(open_truth(truth), prefix).at(recorded.time_ns)
+def true_end(truth: Path, recorded: read.Trial) -> Floats:
+    """Return true END, N, at the rows of a trial in memory; NaN at a row without one."""
+    return TrueEnd(open_truth(truth)).at(recorded.time_ns)
 
 
 def picture(output: Path, path: Path, experiment: ExperimentSetup,

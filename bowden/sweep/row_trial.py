@@ -14,7 +14,7 @@ import math
 import tempfile
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bowden.bench import buses
 from bowden.models import identification
@@ -22,9 +22,6 @@ from bowden.sweep.rows import IDENTIFIED, NOMINAL, Row, motion, plant_model, ref
 from bowden.trials import provenance, session
 from parameters import InputError
 from physics.calibration import write
-
-if TYPE_CHECKING:
-    from physics.calibration import Calibration
 
 FIGURES = (
     "trial", "peak_n", "period_s", "cycles", "rate_hz", "serial", "controller", "calibration",
@@ -53,16 +50,13 @@ def bench_of(row: Row) -> Row:
     return {**kept, "bench.day": 0, "bench.seed": 0, "bench.steady": ""}
 
 
-def identify(bench: Row, what: str = "all", guess: Calibration | None = None) -> tuple[str | None, str]:
-    """Identify a bench; return the reason for a missing calibration, or None and its text.
-
-    `guess`: starting point of a procedure that does not identify all.
-    """
+def identify(bench: Row) -> tuple[str | None, str]:
+    """Identify a bench; return the reason for a missing calibration, or None and its text."""
     sections = {name: table(bench, name) for name in ("network", "limits", "homing")}
     with tempfile.TemporaryDirectory() as folder:
         try:
             found, *_ = identification.perform(
-                what, sections, guess, chosen(bench), Path(folder, "identification.mcap"),
+                "all", sections, None, chosen(bench), Path(folder, "identification.mcap"),
                 date=datetime.date.today().isoformat())
         except Exception as error:  # a plug-in's, too: it ends this bench's rows, not the sweep
             return reason_of(error), ""

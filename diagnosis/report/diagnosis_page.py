@@ -32,14 +32,14 @@ KINDS: Final = {"none": "good", "found": "warn", "ambiguous": "warn", "unexplain
 
 def write(
     found: Findings, trials: Sequence[Table], holdout: Sequence[Table], path: str | Path,
-    tracked: tuple[str | Path, str | Path] | None = None, *, overwrite: bool = True,
+    tracked: tuple[str | Path, str | Path] | None = None,
 ) -> int:
     """Write the report of a diagnosis of `trials` as one HTML file and return its size in bytes.
 
     `tracked`: closed-loop trials without and with the extended controller model.  Raises `InputError` if the file
     cannot be written, or if the two `tracked` trials cannot be compared.
     """
-    return build(found, trials, holdout, tracked).write(path, overwrite=overwrite)
+    return build(found, trials, holdout, tracked).write(path, overwrite=True)
 
 
 def build(

@@ -265,8 +265,8 @@ def strongest(found: Findings) -> tuple[str, Figures] | None:
     return max(told, key=lambda one: one[1].gain_percent or 0.0, default=None)
 
 
-def _shifts(shifts: Mapping[str, Mapping[str, Any]], least: float = 3.0, most: int = 3) -> list[str]:
-    """Return the `most` constants that changed by `least` session σ or more, largest change first, in words."""
+def _shifts(shifts: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return the three constants that changed most, of those that changed by 3 session σ or more, in words."""
     rated = [(abs(row["sessions"]), f"{words(name)} {row['from']:.3g} → {row['to']:.3g} {row['unit']}".rstrip())
-             for name, row in shifts.items() if row["sessions"] is not None and abs(row["sessions"]) >= least]
-    return [text for _, text in sorted(rated, reverse=True)[:most]]
+             for name, row in shifts.items() if row["sessions"] is not None and abs(row["sessions"]) >= 3.0]
+    return [text for _, text in sorted(rated, reverse=True)[:3]]

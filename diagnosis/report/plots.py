@@ -6,7 +6,7 @@ A line is broken over a gap in the compared samples.  Bands and means are of all
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from trial.report.page import Page, broken
 from trial.report.plot import Plot, Series
 from trial.report.words import display_unit, words
 
+Modelled = TypeVar("Modelled")
 BEFORE, ADAPTED, AFTER, MEASURED = "#c2410c", "#15803d", "#2563eb", "#6b7280"
 SIDES: Final = (("gait_percent", "gait phase", "%"), ("tension_start_n", "START", "N"),
                 ("knee_angle_rad", "knee angle", "rad"), ("servo_position_m", "rope", "m"), ("time_s", "time", "s"))
@@ -24,6 +25,12 @@ MEANING: Final = {
     "tension_start_n": "from rope and knee motion", "tension_end_n": "from rope and knee motion",
     "servo_force_n": "from motion and START"}
 """By output: the inputs of its prediction, in words."""
+
+
+def models(before: Modelled, after: Modelled, *, named: bool) -> list[tuple[str, Modelled, str]]:
+    """Return label, values and colour of each model drawn: the reference condition and, if `named`, the effects."""
+    both = [("reference condition", before, BEFORE), ("with what is named", after, AFTER)]
+    return both if named else both[:1]
 
 
 def measured(
@@ -97,8 +104,7 @@ def residuals(
 def _banded(along: np.ndarray[Any, Any], before: np.ndarray[Any, Any], after: np.ndarray[Any, Any], named: bool
             ) -> list[Series]:
     series = []
-    sides = (("reference condition", before, BEFORE), ("with what is named", after, AFTER))
-    for label, residual, colour in sides if named else sides[:1]:
+    for label, residual, colour in models(before, after, named=named):
         _, mean, square = binned(along, residual, bins_of(along.size))
         series += [Series(label, -square, colour, high=square, width=0.3), Series(label, mean, colour, width=1.8)]
     return series
@@ -128,8 +134,7 @@ def _loops(page: Page, name: str, parts: Sequence[SignalResiduals], named: bool)
     for word, dash in (("pulled", False), ("paid out", True)):
         if not masks[word].any():
             continue
-        sides = (("reference condition", before, BEFORE), ("with what is named", after, AFTER))
-        for label, residual, colour in sides if named else sides[:1]:
+        for label, residual, colour in models(before, after, named=named):
             mean = binned(load[masks[word]], residual[masks[word]], bins, span)[1]
             series.append(Series(f"{word}, {label}", mean, colour, dash=dash))
     centres = binned(load, before, bins)[0]

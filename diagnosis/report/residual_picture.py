@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from diagnosis.compared_signals import SignalResiduals
 from diagnosis.findings import Findings
 from diagnosis.report.headline import strongest
-from diagnosis.report.plots import ADAPTED, AFTER, BEFORE, MEASURED
+from diagnosis.report.plots import ADAPTED, AFTER, BEFORE, MEASURED, models
 from diagnosis.report.residuals import binned, bins_of, joined
 from trial.report.page import Page
 from trial.report.plot import Plot, Series
@@ -69,10 +69,9 @@ def section(page: Page, found: Findings, turning: bool = False) -> None:
 def residual_plot(one: MeanResidual, *, named: bool) -> Plot:
     """Return the plot of a residual, before and, if an effect is `named`, after."""
     series = []
-    sides = ((REFERENCE, one.before, BEFORE), (NAMED, one.after, AFTER))
-    for label, (mean, square), colour in sides if named else sides[:1]:
-        series += [Series(label, -square, colour, high=square, width=0.3, tip=one.relation),
-                   Series(label, mean, colour, width=2.2, tip=one.relation)]
+    for label, (mean, square), colour in models(one.before, one.after, named=named):
+        series += [Series(f"simulated: {label}", -square, colour, high=square, width=0.3, tip=one.relation),
+                   Series(f"simulated: {label}", mean, colour, width=2.2, tip=one.relation)]
     return Plot(f"{words(one.relation)}: measured less simulated", one.centres, series, one.axis, one.unit, height=280)
 
 
@@ -114,13 +113,13 @@ def _walks(parts: Sequence[SignalResiduals]) -> bool:
     return bool(np.isfinite(phase).all()) and float(np.ptp(phase)) > 0.0
 
 
-def _cycle(parts: Sequence[SignalResiduals], over: str, most: int = 1500) -> list[Array]:
+def _cycle(parts: Sequence[SignalResiduals], over: str) -> list[Array]:
     """Return a signal, and the measured output and the three simulated ones along it, in the order of time.
 
-    They are means over the gait phase, closed; without a gait, the first `most` samples of the first trial.
+    They are means over the gait phase, closed; without a gait, the first 1,500 samples of the first trial.
     """
     if not _walks(parts):
-        first, end = parts[0], min(most, parts[0].measured.size)
+        first, end = parts[0], min(1500, parts[0].measured.size)
         return [values[:end] for values in (first.along(over), *_lines(first))]
     phase, x = (np.concatenate([p.along(name) for p in parts]) for name in ("gait_percent", over))
     lines = map(np.concatenate, zip(*map(_lines, parts), strict=True))

@@ -13,8 +13,9 @@ import numpy as np
 from diagnosis.report.residuals import binned
 from parameters import InputError
 from physics.laws import Array
-from trial import metrics, read
+from trial import read
 from trial.read import Trial
+from trial.report.compare_page import judged
 from trial.report.overview import setting
 from trial.report.page import Page
 from trial.report.plot import Plot, Series
@@ -46,11 +47,10 @@ def section(page: Page, before: str | Path, after: str | Path, colours: tuple[st
 
 
 def _figures(trial: Trial) -> dict[str, float | None]:
-    judged = setting(trial)
-    if judged.peak_n is None or judged.rate_hz is None or judged.cycles < 1:
+    found = judged(trial)
+    if not found:
         raise InputError(f"{trial.path}: holds no gait cycle; give two trials of bowden verify.")
-    return metrics.figures(trial.columns, peak_n=judged.peak_n, rate_hz=judged.rate_hz, cycles=judged.cycles,
-                           settle=judged.settle)
+    return found
 
 
 def _error(page: Page, trials: list[Trial], colours: tuple[str, str]) -> None:
@@ -65,8 +65,8 @@ def _error(page: Page, trials: list[Trial], colours: tuple[str, str]) -> None:
 
 def _by_phase(trial: Trial) -> tuple[Array, Array, Array]:
     """Return bins of gait phase, %, with mean and standard deviation of END less desired, N, in each."""
-    columns, judged = trial.columns, setting(trial)
+    columns, settle = trial.columns, setting(trial).settle
     error = columns["tension_end_n"] - columns["desired_force_n"]
-    counted = (columns["cycle"] >= judged.settle) & np.isfinite(error)
+    counted = (columns["cycle"] >= settle) & np.isfinite(error)
     centres, mean, square = binned(columns["gait_percent"][counted], error[counted], 200, (0.0, 100.0))
     return centres, mean, np.sqrt(np.maximum(square**2 - mean**2, 0.0))

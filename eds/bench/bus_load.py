@@ -27,13 +27,12 @@ EMCY_SIZE: Final = 8
 SDO_SIZE: Final = 8
 
 
-def frame_bits(size: int, worst: bool = True) -> int:
-    """Bit times of an 11-bit data frame of `size` bytes with its interframe space; unstuffed unless `worst`.
+def frame_bits(size: int) -> int:
+    """Bit times of an 11-bit data frame of `size` bytes with its interframe space, at maximum stuffing.
 
     Worst case (Davis 2007, eq. 1 with g = 34): 34 + 8n + 13 + ⌊(34 + 8n − 1) / 4⌋ = 55 + 10n.
     """
-    bits = 47 + 8 * size
-    return bits + (33 + 8 * size) // 4 if worst else bits
+    return 47 + 8 * size + (33 + 8 * size) // 4
 
 
 class Kind(Enum):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from physics import laws
+from physics import laws, path_laws
 
 # Printed to 0.01°, so half a unit of the last place.
 ROUNDING_DEG = 0.005
@@ -46,7 +46,7 @@ def test_desired_force_eq2(peak: float) -> None:
 def test_losses_are_those_of_a_capstan_and_turn_with_the_motion() -> None:
     for loss in (laws.cable_loss, laws.fabric_loss):
         for way in (-0.1, 0.0, 0.1):
-            held = laws.capstan(40.0, 0.157 * math.copysign(1.0, way) if way else 0.0)
+            held = path_laws.capstan(40.0, 0.157 * math.copysign(1.0, way) if way else 0.0)
             assert 40.0 + loss(40.0, 0.157, way) == pytest.approx(held, rel=1e-14)
 
 
@@ -54,7 +54,7 @@ def test_losses_added_drop_the_product_term() -> None:
     series = laws.series_input(1.0, 0.157, 1.0, 0.1, 1.0)
     added = 1.0 + laws.cable_loss(1.0, 0.157, 1.0) + laws.fabric_loss(1.0, 0.1, 1.0)
     assert series - added == pytest.approx(0.018, abs=0.0005)
-    assert series == pytest.approx(laws.capstan(laws.capstan(1.0, 0.1), 0.157), rel=1e-14)
+    assert series == pytest.approx(path_laws.capstan(path_laws.capstan(1.0, 0.1), 0.157), rel=1e-14)
 
 
 @pytest.mark.parametrize(("force", "mm"), [(20.0, 15.02), (40.0, 18.98), (60.0, 21.58)])

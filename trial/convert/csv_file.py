@@ -9,6 +9,7 @@ diagnosis read through this module.
 import csv
 import datetime
 import io
+import math
 import re
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
@@ -375,33 +376,25 @@ def _by_column(columns: Sequence[Sequence[str]], comma: bool) -> _Columns:
 
 
 def _parsed(cells: Sequence[str], comma: bool) -> tuple[Floats, tuple[int, str] | None]:
-    """Return a column's numbers and its first cell that is not a number."""
-    try:
-        quick = np.array([cell.replace(",", ".") if comma else cell or "nan" for cell in cells]).astype(np.float64)
-        if not np.isinf(quick).any():
-            return quick, None
-    except ValueError:
-        pass
-    values = np.empty(len(cells))
-    fault = None
+    """Return a column's numbers and its first cell that is not a finite number."""
+    values, fault = np.empty(len(cells)), None
     for at, cell in enumerate(cells):
         try:
-            values[at] = float(cell.replace(",", ".") if comma else cell)
+            value = float(cell.replace(",", ".") if comma else cell)
+            wrong = math.isinf(value)
         except ValueError:
-            values[at] = np.nan
-            if fault is None and cell.strip().lower() not in UNKNOWN:
-                fault = (at, cell)
-    infinite: NDArray[np.intp] = np.flatnonzero(np.isinf(values))
-    if len(infinite) and (fault is None or infinite[0] < fault[0]):
-        fault = (int(infinite[0]), cells[int(infinite[0])])
+            value, wrong = math.nan, fault is None and cell.strip().lower() not in UNKNOWN
+        values[at] = value
+        if wrong and fault is None:
+            fault = (at, cell)
     return values, fault
 
 
-_ISO = re.compile(
-    r"\s*(\d{4})[-/](\d{1,2})[-/](\d{1,2})[T ]+(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?\s*"
-    r"(Z|[+-]\d{2}:?\d{2})?\s*$", re.IGNORECASE)
-_DOTTED = re.compile(
-    r"\s*(\d{1,2})\.(\d{1,2})\.(\d{4})[T ]+(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?\s*()$")
+_PARTS = ("year", "month", "day", "hour", "minute", "second")
+_TIME = r"[T ]+(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,](?P<fraction>\d{1,9}))?)?\s*"
+_ISO = re.compile(r"\s*(?P<year>\d{4})[-/](?P<month>\d{1,2})[-/](?P<day>\d{1,2})" + _TIME
+                  + r"(?P<zone>Z|[+-]\d{2}:?\d{2})?\s*$", re.IGNORECASE)
+_DOTTED = re.compile(r"\s*(?P<day>\d{1,2})\.(?P<month>\d{1,2})\.(?P<year>\d{4})" + _TIME + "(?P<zone>)$")
 _CLOCK = re.compile(r"\s*(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,9}))?\s*$")
 DAY_NS, SECOND_NS = 86_400_000_000_000, 1_000_000_000
 _EPOCH = datetime.datetime(1970, 1, 1)
@@ -457,20 +450,17 @@ def _fraction(digits: str | None) -> int:
 
 
 def _absolute(cell: str) -> int | None:
-    iso, dotted = _ISO.match(cell), _DOTTED.match(cell)
-    if iso is not None:
-        year, month, day, hour, minute, second, fraction, zone = iso.groups()
-    elif dotted is not None:
-        day, month, year, hour, minute, second, fraction, zone = dotted.groups()
-    else:
+    """Return a date with a time as ns since 1970, UTC where it states no zone; None if the cell is neither."""
+    found = _ISO.match(cell) or _DOTTED.match(cell)
+    if found is None:
         return None
     try:
-        at = datetime.datetime(int(year), int(month), int(day), int(hour), int(minute), int(second or 0))
+        year, month, day, hour, minute, second = (int(found[part] or 0) for part in _PARTS)
+        at = datetime.datetime(year, month, day, hour, minute, second)
     except ValueError:
         return None
-    away = 0
-    if zone and zone.upper() != "Z":
-        sign = -1 if zone[0] == "-" else 1
-        away = sign * (int(zone[1:3]) * 60 + int(zone[-2:])) * 60
+    zone, away_s = found["zone"] or "Z", 0
+    if zone.upper() != "Z":
+        away_s = (-60 if zone[0] == "-" else 60) * (int(zone[1:3]) * 60 + int(zone[-2:]))
     past = at - _EPOCH
-    return (past.days * 86_400 + past.seconds - away) * SECOND_NS + _fraction(fraction)
+    return (past.days * 86_400 + past.seconds - away_s) * SECOND_NS + _fraction(found["fraction"])

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from eds.bench.bench_network import Network, WireLayout
 from eds.bench.bench_network import wire as wire_of
 from parameters import InputError
-from parameters.files import BoundedFile, refuse_special
+from parameters.files import BoundedFile, refuse_special, unpacked_ending
 from trial import decode, record
 from trial.convert import candump, csv_table, sheets
 from trial.convert.csv_file import Dialect
@@ -33,7 +33,6 @@ from trial.signals import UNITS
 
 Floats = NDArray[np.float64]
 PYTHON_CAN = (".asc", ".blf", ".trc", ".db")
-TABLES = (".csv", ".tsv", ".dat", ".xlsx", ".tdms", ".parquet", ".mat", ".mf4", ".mdf")
 LINES_TOLD = 1 << 14  # between two words of progress
 READING = 0.7  # of the share: of a CAN log the reading takes longer than the writing
 
@@ -104,8 +103,7 @@ FORMATS = ".csv, .tsv, .dat, .txt, .log (also .gz), .xlsx, .tdms, .parquet, .mat
 
 
 def _reader(source: Path) -> Reader:
-    suffixes = [suffix.lower() for suffix in source.suffixes]
-    ending = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else "".join(suffixes[-1:])
+    ending = unpacked_ending(source)
     if ending == ".mcap":
         return _from_mcap
     if ending == ".txt":
@@ -114,7 +112,7 @@ def _reader(source: Path) -> Reader:
         return _from_python_can
     if ending == ".mf4" and sheets.has_can_frames(source):
         return _from_python_can
-    if ending in TABLES:
+    if ending in sheets.ENDINGS:
         return _from_table
     if ending == ".log":
         return _from_candump

@@ -24,7 +24,7 @@ from can.io.player import MESSAGE_READERS
 from numpy.typing import NDArray
 
 from parameters import InputError
-from parameters.files import BoundedFile, refuse_special
+from parameters.files import BoundedFile, refuse_special, unpacked_ending
 from trial.convert.frames import ChannelNumbers, FrameRows, LoggedFrames, Row
 from trial.mcap_file import cdr
 from trial.read import frame_blocks
@@ -158,7 +158,7 @@ CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
 @contextmanager
 def _messages(path: Path) -> Iterator[tuple[Any, Callable[[], float]]]:
     """Yield an iterator over a log's messages, and a function that returns the share of the file read so far."""
-    ending = _ending(path)
+    ending = unpacked_ending(path)
     if ending == ".db":
         yield _sqlite(path), lambda: 0.0
         return
@@ -186,11 +186,6 @@ def _mdf_reader() -> Any:
     if getattr(mf4, "asammdf", None) is None:
         importlib.reload(mf4)
     return mf4.MF4Reader
-
-
-def _ending(path: Path) -> str:
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    return suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else "".join(suffixes[-1:])
 
 
 def _sqlite(path: Path) -> Iterator[can.Message]:

@@ -26,8 +26,7 @@ from parameters.files import READ_LIMIT, refuse_special, unpacked_limit
 from trial.convert import csv_file
 from trial.convert.lab_table import Floats, LabTable, unique
 
-TEXT = (".csv", ".tsv", ".dat", ".txt")
-ENDINGS = (*TEXT, ".xlsx", ".tdms", ".parquet", ".mat", ".mf4", ".mdf")
+ENDINGS = (".csv", ".tsv", ".dat", ".txt", ".xlsx", ".tdms", ".parquet", ".mat", ".mf4", ".mdf")
 Arrays = dict[str, np.ndarray[Any, Any]]
 
 

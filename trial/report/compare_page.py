@@ -66,8 +66,8 @@ def _result(page: Page, found: TrialComparison) -> None:
         page.table(("key", "A", "B"), rows, tall=len(rows) > 20)
 
 
-def _rows(differences: Sequence[FieldDifference], prefix: str = "") -> list[tuple[Cell, ...]]:
-    return [(f"{prefix}{row.key}", *("–" if value is None else str(value)[:300] for value in (row.a, row.b)))
+def _rows(differences: Sequence[FieldDifference]) -> list[tuple[Cell, ...]]:
+    return [(row.key, *("–" if value is None else str(value)[:300] for value in (row.a, row.b)))
             for row in differences[:MOST_ROWS]]
 
 

@@ -11,10 +11,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+MOST_SEARCHED = 20_000
+"""Points of a plot from which on its legend has a fixed place: the search for the best one visits every point."""
 
 
 class Series(NamedTuple):
@@ -89,5 +93,6 @@ def _draw(axes: Any, plot: Plot) -> None:
     axes.set_title(plot.title, fontsize="medium", wrap=True)
     axes.set(xlabel=plot.x_label, ylabel=plot.y_label)
     axes.grid(alpha=0.3)
-    if len(named - {""}) > 0:
-        axes.legend(fontsize="small")
+    if named - {""}:
+        points = sum(np.size(one.values) for one in plot.series)
+        axes.legend(fontsize="small", loc="best" if points < MOST_SEARCHED else "upper right")

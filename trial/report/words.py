@@ -52,36 +52,30 @@ def display_unit(unit: str) -> tuple[str, float]:
     return UNITS.get(unit, (unit, 1.0))
 
 
-def quantity(value: float | None, unit: str = "", digits: int = 3) -> str:
-    """Return a value in an SI `unit` as text, with a prefixed unit and `digits` significant digits."""
+def quantity(value: float | None, unit: str = "") -> str:
+    """Return a value in an SI `unit` as text, with a prefixed unit and three significant digits."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
-    (text,), shown = quantities((value,), unit, digits)
+    (text,), shown = quantities((value,), unit)
     return f"{text} {shown}".rstrip()
 
 
-def quantities(values: Sequence[float], unit: str = "", digits: int = 3) -> tuple[list[str], str]:
-    """Return values in an SI `unit` as texts with `digits` significant digits, and the prefixed unit of the largest."""
+def quantities(values: Sequence[float], unit: str = "") -> tuple[list[str], str]:
+    """Return values in an SI `unit` as texts with three significant digits, and the prefixed unit of the largest."""
     shown, factor = display_unit(unit)
     if shown in SMALLER and 0.0 < factor * max(map(abs, values)) < SMALL:
         shown, factor = SMALLER[shown][0], factor * SMALLER[shown][1]
-    return [_rounded(factor * value, digits) for value in values], shown
+    return [_rounded(factor * value) for value in values], shown
 
 
-def _rounded(value: float, digits: int) -> str:
+def _rounded(value: float) -> str:
     if value == 0.0 or 1e-3 <= abs(value) < 1e6:
-        places = max(0, digits - 1 - math.floor(math.log10(abs(value)))) if value else 0
+        places = max(0, 2 - math.floor(math.log10(abs(value)))) if value else 0
         text = f"{value:.{places}f}"
         text = text.rstrip("0").rstrip(".") if "." in text else text
     else:
-        text = f"{value:.{digits}g}"
+        text = f"{value:.3g}"
     return text.replace("-", "−")
-
-
-def axis(name: str, unit: str) -> str:
-    """Return the label of an axis: a signal in words, with the unit shown."""
-    shown = display_unit(unit)[0]
-    return f"{words(name)} ({shown})" if shown else words(name)
 
 
 LABELS: Mapping[str, str] = {
