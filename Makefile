@@ -48,7 +48,8 @@ faults: $(VENV)/.installed-test
 	@mkdir -p out
 	$(BIN)/python -m tests.faults.run --kept out/faults.jsonl --page docs/faults.md
 	$(BIN)/python -m tests.faults.run --kept out/faults.jsonl --cover --stealth --page docs/faults.md
-	$(BIN)/python -m tests.faults.monitor_alone --drive own bought --every 6 --csv docs/monitor.csv --page docs/safety_monitor.md
+	$(BIN)/python -m tests.faults.monitor_alone --csv docs/monitor.csv
+	$(BIN)/python -m tests.faults.monitor_alone --drive bought --guards alone both --csv docs/monitor.csv --page docs/safety_monitor.md
 
 healthy: $(VENV)/.installed-test
 	@mkdir -p out
