@@ -26,7 +26,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,6 +45,8 @@ from master.motion.checks import CHECKS
 from master.network.link import Link
 from physics.calibration import nominal
 from physics.reference import paper_reference
+from safety_monitor import node as monitor_node
+from safety_monitor.checks import WINDOW, Present, rope_ahead
 from tests.plants import stack
 from virtual_bus.bus import BowdenBus
 
@@ -96,7 +98,8 @@ class Ended(NamedTuple):
     """End of a trial, greatest normalised residual of each relation, and the end by the packaged calibration.
 
     `packaged`: why the bench had to be identified and run again; None if it had not.  `monitored`: whether a safety
-    monitor watched it.  `trial_s`: its length from the silent bus to the end, s; `gait_s`: that of its gait cycles.
+    monitor watched it.  `person`: why its bounds had to be set from a trial of the bench; None if they had not.
+    `trial_s`: its length from the silent bus to the end, s; `gait_s`: that of its gait cycles.
     """
 
     number: int
@@ -107,6 +110,7 @@ class Ended(NamedTuple):
     trial_s: float
     gait_s: float
     monitored: bool = False
+    person: str | None = None
 
 
 def jobs(count: int, cycles: int) -> Iterator[Job]:
@@ -151,19 +155,57 @@ class StoppedError(Exception):
 
 
 def ran(job: Job) -> Ended:
-    """Run one trial; where it is refused or stopped by the packaged calibration, identify and run again."""
+    """Run one trial; where it is refused or stopped by the packaged calibration, identify and run again.
+
+    Where the monitor stops that trial, set the bounds that are the bench's from another session of it and run again.
+    """
     ended = walked(job, nominal())
     if ended.reason is None:
         return ended
+    packaged = ended.reason
     try:
-        return walked(job, identified(job))._replace(packaged=ended.reason)
+        calibration = identified(job)
     except StoppedError as error:
-        return ended._replace(reason=f"identification: {error}", packaged=ended.reason)
+        return ended._replace(reason=f"identification: {error}", packaged=packaged)
+    ended = walked(job, calibration)._replace(packaged=packaged)
+    if not opened(ended.reason):
+        return ended
+    return walked(job, calibration, of_bench(job, calibration))._replace(packaged=packaged, person=ended.reason)
 
 
-def walked(job: Job, calibration: Any) -> Ended:
+BENCH_MARGIN = 1.25
+"""Factor from what a trial of the bench without a limb reaches to its bounds in the person's file."""
+
+
+def of_bench(job: Job, calibration: Any) -> dict[str, float]:
+    """Return the bounds that are the bench's, not the person's, from a trial of another session of the job's bench."""
+    place = job.number // 4
+    other = family(place, (place + 1) % DAYS) if job.number % 4 == 3 else {"day": job.bench.get("day", 0) + 1}
+    wide = {name: safety_monitor.person.RANGES[name][2] for name in ("start_n", "force_rate_n_s", "rope_m_s")}
+    most = dict.fromkeys(wide, 0.0)
+    plain = monitor_node.step
+
+    def watched(state: Any, *given: Any) -> Any:
+        course = (*state.history, (given[3], given[5]))
+        if len(course) > WINDOW:
+            now = Present(state, given[3], course[-1][1], course, ())
+            for name, reached in (("start_n", [path[0] for path in now.paths]),
+                                  ("force_rate_n_s", now.rates(0)), ("rope_m_s", rope_ahead(now))):
+                most[name] = max(most[name], *reached)
+        return plain(state, *given)
+
+    monitor_node.step = watched
+    try:
+        walked(job._replace(bench=job.bench | other), calibration, wide)
+    finally:
+        monitor_node.step = plain
+    return {name: BENCH_MARGIN * value for name, value in most.items()}
+
+
+def walked(job: Job, calibration: Any, bounds: Mapping[str, float] | None = None) -> Ended:
     """Run one trial, under a safety monitor if it has one, without a recorder.
 
+    `bounds`: of the person's file, where they exceed those of the packaged one.
     No monitor socket drains the bus: it would only cost time, and the master counts targets as sent by its own record.
     """
     worst, limits = np.zeros(len(NAMES)), settings.Limits()
@@ -185,7 +227,7 @@ def walked(job: Job, calibration: Any) -> Ended:
 
     experiment_run.Repetition = Kept  # type: ignore[misc]
     with tempfile.TemporaryDirectory() as folder:
-        person = person_of(job.peak_n, job.period_s, Path(folder))
+        person = person_of(job.peak_n, job.period_s, Path(folder), bounds or {})
         monitor = {"monitor": str(person)} if job.monitored else {}
         bus = BowdenBus(f"healthy-{job.number}", rate_hz=job.rate_hz, **monitor, **job.bench)
     asked = experiment_run.ExperimentSetup(
@@ -199,8 +241,11 @@ def walked(job: Job, calibration: Any) -> Ended:
                  result.duration_s, job.cycles * job.period_s, job.monitored)
 
 
-def person_of(peak_n: float, period_s: float, folder: Path) -> Path:
-    """Write a person's file for another peak and gait than the packaged: forces by the peak, speed by the period."""
+def person_of(peak_n: float, period_s: float, folder: Path, least: Mapping[str, float]) -> Path:
+    """Write a person's file for another peak and gait than the packaged: forces by the peak, speed by the period.
+
+    `least`: bounds that the file has at least.
+    """
     by = peak_n / 40.0
     text = safety_monitor.packaged().read_text(encoding="utf-8")
     for key, factor in {"start_n": by, "end_n": by, "force_rate_n_s": max(1.0, by) * max(1.0, 1.1 / period_s),
@@ -209,7 +254,8 @@ def person_of(peak_n: float, period_s: float, folder: Path) -> Path:
                         "knee_deg_s": max(1.0, 1.1 / period_s)}.items():
         top = safety_monitor.person.RANGES[key][2]
         text = re.sub(rf"(?m)^{key} = ([\d.]+)",
-                      lambda m, key=key, factor=factor, top=top: f"{key} = {min(top, factor * float(m[1])):.3g}", text)
+                      lambda m, key=key, factor=factor, top=top:
+                      f"{key} = {min(top, max(least.get(key, 0.0), factor * float(m[1]))):.3g}", text)
     path = folder / f"person-{peak_n:g}-{period_s:g}.toml"
     path.write_text(text, encoding="utf-8")
     return path
@@ -280,7 +326,8 @@ def show(told: list[Ended]) -> None:
           f"were refused and {len(again)} stopped {again}, then identified")
     print(f"{sum(ended.monitored for ended in told)} of them had a safety monitor, which opened its line in "
           f"{sum(map(opened, (ended.reason for ended in told)))}; by the packaged calibration in "
-          f"{sum(map(opened, (ended.packaged for ended in told)))}")
+          f"{sum(map(opened, (ended.packaged for ended in told)))}; by the packaged bounds of forces and speeds in "
+          f"{[ended.number for ended in told if ended.person is not None]}, then set from a trial of the bench")
     for reason, often in Counter(ended.reason for ended in stopped).most_common(20):
         numbers = [ended.number for ended in stopped if ended.reason == reason]
         print(f"  {often} × {reason} {numbers[:6]}")

@@ -107,11 +107,11 @@ def _force_rate(present: Present, bounds: Bounds) -> str:
     return _above("a tension rises at", rising, bounds.force_rate_n_s, "N/s")
 
 
-def _rope_speed(present: Present, bounds: Bounds) -> str:
+def rope_ahead(present: Present) -> list[float]:
+    """Return the speed at which each rope is about to wind in, m/s."""
     before = present.rates(3, WINDOW - 1 - ROPE_SPAN, WINDOW - ROPE_SPAN)
-    ahead = ((now + (now - was) * ROPE_AHEAD) / (LOOSE_SHARE if path.start_n < LOOSE_N else 1.0)
-             for path, was, now in zip(present.paths, before, present.rates(3, WINDOW - 1), strict=True))
-    return _above("rope about to wind in at", ahead, bounds.rope_m_s, "m/s")
+    return [(now + (now - was) * ROPE_AHEAD) / (LOOSE_SHARE if path.start_n < LOOSE_N else 1.0)
+            for path, was, now in zip(present.paths, before, present.rates(3, WINDOW - 1), strict=True)]
 
 
 def _angle(present: Present, bounds: Bounds) -> str:
@@ -143,7 +143,8 @@ CHECKS: Final = (
     Check("tension at END", Emcy.MONITOR_END, lambda present, bounds: _above(
         "END", (abs(path.end_n) for path in present.paths), bounds.end_n, "N")),
     Check("rise of a tension", Emcy.MONITOR_FORCE_RATE, _force_rate),
-    Check("speed of the rope", Emcy.MONITOR_ROPE, _rope_speed),
+    Check("speed of the rope", Emcy.MONITOR_ROPE, lambda present, bounds: _above(
+        "rope about to wind in at", rope_ahead(present), bounds.rope_m_s, "m/s")),
     Check("angle of the knee", Emcy.MONITOR_ANGLE, _angle),
     Check("speed of the knee", Emcy.MONITOR_SPEED, lambda present, bounds: _above(
         "knee speed", map(abs, present.rates(2)), bounds.knee_deg_s, "degrees/s")),
@@ -170,10 +171,9 @@ def step(state: MonitorState, bounds: Bounds, master: int, drives: Sequence[int]
         node = frame.can_id - HEARTBEAT_BASE
         if node in watched and len(frame.data) == 1 and not (frame.extended or frame.remote or frame.error):
             last[node] = Heartbeat(node, time_ns, frame.data[0] & 0x7F)  # bit 7: toggle of node guarding (CiA 301)
-    heard = tuple(last.values())
-    at_work = any(beat.node in drives and beat.state == NmtState.OPERATIONAL for beat in heard)
+    at_work = any(beat.node in drives and beat.state == NmtState.OPERATIONAL for beat in last.values())
     working_ns = -1 if not at_work else state.working_ns if state.working_ns >= 0 else time_ns
-    state = state._replace(heard=heard, working_ns=working_ns)
+    state = state._replace(heard=tuple(last.values()), working_ns=working_ns)
     course = (*(state.history or ((time_ns - n * STEP_NS, now) for n in range(WINDOW, 0, -1))), (time_ns, now))
     present = Present(state, time_ns, now, course, watched)
     broken = next(((check.code, text) for check in CHECKS if (text := check.breach(present, bounds))), None)
