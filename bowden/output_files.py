@@ -17,19 +17,16 @@ from parameters.files import refuse_special
 def refuse(paths: Iterable[Path | None], *, overwrite: bool, inputs: Iterable[Path | None] = ()) -> None:
     """Raise `InputError` for the first path that exists already (unless `overwrite`) or cannot be written.
 
-    Also for one that is among `inputs`, whatever its name: it would be destroyed while it is read.
+    Before that, for one that is among `inputs`: it would be destroyed while it is read.
     """
-    seen: set[Path] = set()
-    read = {_identity(path): path for path in inputs if path is not None and path.exists()}
+    paths, seen = list(paths), set[Path]()
+    refuse_inputs(paths, inputs)
     for path in paths:
         if path is None:
             continue
         if path in seen:
             raise InputError(f"{path}: named for two outputs; give each its own file.")
         seen.add(path)
-        if path.exists() and _identity(path) in read:
-            same = read[_identity(path)]
-            raise InputError(f"{path}: is the input {same} itself; give the output another name.")
         if path.is_dir():
             raise InputError(f"{path}: is a directory; give the name of a file in it.")
         refuse_special(path)
@@ -40,6 +37,14 @@ def refuse(paths: Iterable[Path | None], *, overwrite: bool, inputs: Iterable[Pa
         if not os.access(path if path.exists() else path.parent, os.W_OK):
             raise InputError(f"{path}: cannot be written (permission denied); give a writable place.")
         _refuse_unwritable(path)
+
+
+def refuse_inputs(paths: Iterable[Path | None], inputs: Iterable[Path | None]) -> None:
+    """Raise `InputError` for the first path that is one of `inputs`, whatever its name."""
+    read = {_identity(path): path for path in inputs if path is not None and path.exists()}
+    for path in paths:
+        if path is not None and path.exists() and _identity(path) in read:
+            raise InputError(f"{path}: is the input {read[_identity(path)]} itself; give the output another name.")
 
 
 def _refuse_unwritable(path: Path) -> None:

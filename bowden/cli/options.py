@@ -370,13 +370,18 @@ def grouped(command: Callable[..., CommandAnswer | int]) -> Callable[..., int]:
 
 
 def _refuse_outputs(outputs: Mapping[str, tuple[str, Sequence[str]]], given: Mapping[str, Any]) -> None:
-    """Raise `InputError` for an output file of another ending, one that exists, or one that is an input, too."""
+    """Raise `InputError` for an output file that is an input, too, has another ending, or exists.
+
+    In this order: nobody is told to overwrite what is refused then.
+    """
+    files = [given[name] for name in outputs]
+    inputs = [path for name, value in given.items() if name not in outputs
+              for path in (value if isinstance(value, list | tuple) else (value,)) if isinstance(path, Path)]
+    output_files.refuse_inputs(files, inputs)
     for name, (content, endings) in outputs.items():
         if endings:
             output_files.refuse_ending(given[name], *endings, what=content)
-    inputs = [path for name, value in given.items() if name not in outputs
-              for path in (value if isinstance(value, list | tuple) else (value,)) if isinstance(path, Path)]
-    output_files.refuse([given[name] for name in outputs], overwrite=given["overwrite"], inputs=inputs)
+    output_files.refuse(files, overwrite=given["overwrite"])
 
 
 def _option_of(name: str, default: Any, annotation: Any) -> inspect.Parameter:

@@ -17,6 +17,7 @@ from diagnosis.findings import Findings
 from diagnosis.report import figure_tables, residual_picture
 from diagnosis.report.headline import headline, healthy_value
 from parameters import InputError
+from trial.report.page import NamedText
 from trial.report.plot import Plot, picture, save
 
 RELATION_COLUMNS: Final = ("signal", "unit", "floor", "rmse_before", "rmse_session", "rmse_after", "gain_percent",
@@ -70,7 +71,8 @@ def _csv(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
-    writer.writerows([["" if _unknown(value) else value for value in row] for row in rows])
+    writer.writerows([["" if _unknown(value) else value.tip if isinstance(value, NamedText) else value for value in row]
+                      for row in rows])
     return text.getvalue().encode()
 
 

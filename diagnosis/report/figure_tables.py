@@ -124,7 +124,8 @@ def _limit(name: str, one: Mapping[str, Any], size: float | None, named: bool) -
     if named and size is not None:
         smallest = size if smallest is None else min(smallest, size)
     seen = "yes: found" if named else _seen(smallest, parameter)
-    return (NamedText(words(name), name), words(one["parameter"]), smallest, one["unit"], likely, seen)
+    return (NamedText(words(name), name), NamedText(words(one["parameter"]), one["parameter"]), smallest, one["unit"],
+            likely, seen)
 
 
 def _seen(smallest: float | None, parameter: Any) -> str:

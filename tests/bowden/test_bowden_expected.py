@@ -271,7 +271,7 @@ def test_an_output_that_is_an_input_is_refused_by_whatever_name(
         output = other
     status, out, err = bowden(*command, output, "--overwrite")
     assert (status, out, err.count("\n")) == (2, "", 1)
-    assert re.search("itself|give a name that ends so", err)
+    assert "itself" in err
     assert {path.name: path.read_bytes() for path in here.iterdir()} == before
 
 
@@ -348,7 +348,11 @@ def telling(self, text):
     from contextlib import contextmanager
     @contextmanager
     def inside():
-        yield lambda share, step="": share > 0.2 and not done and (done.append(1), os.kill(os.getpid(), int(sys.argv[1])))
+        yield reached
+    def reached(share, step=""):
+        if share > 0.2 and not done:
+            done.append(1)
+            os.kill(os.getpid(), int(sys.argv[1]))
     return inside()
 terminal.Terminal.running = telling
 sys.exit(run([*sys.argv[2:], "--json"]))

@@ -100,7 +100,7 @@ def test_the_page_ranks_what_was_fitted(found: Findings, measured: Table) -> Non
 def test_the_page_says_what_could_have_been_seen(found: Findings, measured: Table) -> None:
     html = build(found, [measured], []).html()
     rows = re.findall(r"<td[^>]*>(?:<[^>]*>)*(cable friction|slack)(?:<[^>]*>)*</td>"
-                      + 5 * r"<td[^>]*>([^<]*)</td>", html)
+                      + 5 * r"<td[^>]*>(?:<[^>]*>)*([^<]*)(?:<[^>]*>)*?</td>", html)
     assert [(row[0], row[2], row[5]) for row in rows] == [
         ("cable friction", "0.02", "yes: found"), ("slack", "–", "no")]
 
@@ -213,6 +213,13 @@ def test_the_detection_limit_never_contradicts_what_was_found(found: Findings) -
         assert named[5] == "yes: found"
         assert named[2] == pytest.approx(min(abs(change), math.inf if limit is None else limit))
         assert (beyond[5], within[5]) == ("only beyond the likely range", "the larger ones")
+
+
+def test_a_table_for_programs_has_the_names_of_files(found: Findings, tmp_path: Path) -> None:
+    limit = {"cable_friction": {"parameter": "mu1", "value": 0.01, "unit": ""}}
+    figure_export.write(dataclasses.replace(found, detection_limit=limit), tmp_path)
+    (row,) = csv.DictReader((tmp_path / "detection_limit.csv").read_text().splitlines())
+    assert (row["effect"], row["parameter"]) == ("cable_friction", "mu1")
 
 
 def test_the_picture_has_both_branches_and_less_residual_after(found: Findings) -> None:

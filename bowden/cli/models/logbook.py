@@ -122,7 +122,7 @@ def report_bench(folder: Folder, output: options.Page, limit: Limits = None) -> 
     from logbook import bench_page
     from logbook.database import FILE, open_logbook
 
-    output_files.refuse([output], overwrite=True, inputs=[folder / FILE])
+    output_files.refuse_inputs([output], [folder / FILE])
     with open_logbook(folder) as book:
         with terminal.waiting("diagnosing a change"):
             state = diagnosed_state(book, _limits(limit))
@@ -139,7 +139,7 @@ def export_logbook(folder: Folder, output: NewTable, table: Table = "trials") ->
     from logbook.bench_page import export_table
     from logbook.database import FILE, open_logbook
 
-    output_files.refuse([output], overwrite=True, inputs=[folder / FILE])
+    output_files.refuse_inputs([output], [folder / FILE])
     with open_logbook(folder) as book:
         rows = export_table(book, table, output)
     return CommandAnswer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
