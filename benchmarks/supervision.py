@@ -180,7 +180,7 @@ def ran(job: Job) -> Ended:
 
 
 BENCH_MARGIN = 1.25
-"""Bounds of a person's file over the largest values of a trial on the bench without a limb.
+"""Bounds of a person's file, relative to the largest values of a trial on the bench without a limb.
 
 Chosen: sessions differ by 10 % of friction and by stiffness, homing and pace.  If it is too small, healthy trials are
 stopped; if it is too large, a fault is stopped later."""

@@ -246,8 +246,8 @@ class SessionSequence:
         """Return the variances of an effect's size between sessions that are averaged, relative to `SURROGATE`².
 
         An effect along constants that are followed has their variance.  The slope by a constant that cannot be negative
-        differs from session to session: without a variance a bench with a loose knee has 23 nats of a backlash without
-        a change (20 sessions), with `SURROGATE`² alone 11.  The variances are nodes of an integral.
+        differs from session to session.  Without a variance three benches without a change reach 10 to 17 nats in 20
+        sessions, averaged over effects.  With `SURROGATE`² alone they reach 0.5 to 11, with these nodes 0.5 to 8.5.
         """
         table = self.fit.model.constants
         followed = {table.names[i] for i in table.free if table.rows[i].form != "positive"}

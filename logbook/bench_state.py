@@ -163,7 +163,7 @@ ALARM_NATS: Final = math.log(600.0)
 """Log Bayes factor, averaged over all effects of the catalogue, from which a change is stated.
 
 At most one bench in 600 without a change reaches it in any session (Ville's inequality) if the model is linear; it is
-not, so that one of 12 such benches reached 6.1 nats (`python -m benchmarks.logbook --recorded`).  If it is too small,
+not, so that one of ten such benches reached 8.5 nats (`python -m benchmarks.logbook --recorded`).  If it is too small,
 benches without a change alarm; if it is too large, small changes are stated some sessions later."""
 SET_SHARE: Final = 0.5
 """Share of the best log Bayes factor from which an effect is in the ambiguity set, as in a single diagnosis."""

@@ -74,7 +74,7 @@ CONFIDENCE: Final = 0.95
 class Soak:
     """Round trips by node, ns; how late waits ended, ns; unanswered reads, error frames, frames lost by the kernel.
 
-    `stamps` says whose clock stamps the frames, "" if the interface does not report it.
+    `stamps`: the clock that stamps the frames, "" if the interface does not report it.
     """
 
     minutes: float

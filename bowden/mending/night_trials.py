@@ -1,7 +1,6 @@
 """Trials of an unattended repair: their time, the reasons for which they end, and END's error in them.
 
-Only END as its sensor reads it decides, by its departure from the reference trial: what the sensor reads wrongly
-there, it reads wrongly here, too.
+END's reading decides, by its departure from the reference trial: an error of the sensor itself is in both.
 """
 
 from __future__ import annotations

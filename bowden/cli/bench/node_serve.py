@@ -73,7 +73,7 @@ def serve(
 ) -> CommandAnswer | int:
     """Serve a node on a bus from any EDS, in wall time until Ctrl-C.
 
-    It boots as its EDS says: SDO, PDO, NMT, heartbeat, EMCY, SYNC, LSS, store and restore.
+    It has the services of its EDS: SDO, PDO, NMT, heartbeat, EMCY, SYNC, LSS, store and restore.
 
     Example: bowden node serve knee_drive --node-id 5 --interface udp_multicast --channel 239.74.163.2 --for 1
     """
