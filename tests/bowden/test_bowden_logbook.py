@@ -311,7 +311,7 @@ def test_an_alarm_without_recorded_trials_is_named_by_all_sessions(accuracy: Acc
     (book / "24.mcap").write_bytes(b"another content than the one that was entered")
     assert shown(bowden, book)["alarms"][0] == alarm
     text = bowden("logbook", "show", book).stdout
-    assert text.startswith("Changed since session day 20, as a step: knee_backlash")
+    assert text.startswith("Changed since session day 20, as a step: knee backlash")
     assert "No diagnosis of one session: no trial since the change is at hand" in text
 
 
