@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import dataclasses
 import json
 import math
 import multiprocessing
@@ -27,7 +28,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,10 +36,9 @@ import numpy as np
 
 import safety_monitor
 from benchmarks.frame import DOCS, put
-from bowden.bench import buses
+from bowden.bench import buses, monitor_bounds
 from bowden.models import identification
 from eds.bench.bench_network import Network
-from eds.cia301 import Frame
 from master import settings
 from master.cycle import exchange, plausibility, repetition
 from master.cycle.safety import Reaction
@@ -47,10 +47,8 @@ from master.motion.checks import CHECKS
 from master.network.link import Link
 from physics.calibration import nominal
 from physics.reference import paper_reference
-from safety_monitor import node as monitor_node
-from safety_monitor.checks import WINDOW, MonitorState, PathInputs, Present, rope_ahead
-from safety_monitor.person import Bounds
 from tests.plants import stack
+from trial.record import Recorder
 from virtual_bus.bus import BowdenBus
 
 SHORT = {Reaction.UNWIND: "unwind", Reaction.RELEASE: "servo off", Reaction.RELEASE_BOTH: "both off",
@@ -174,48 +172,28 @@ def ran(job: Job) -> Ended:
     ended = walked(job, calibration)._replace(packaged=packaged)
     if not opened(ended.reason):
         return ended
-    bounds = of_bench(job, calibration)
-    told = ", ".join(f"{name} {value:.3g}" for name, value in bounds.items())
-    return walked(job, calibration, bounds)._replace(packaged=packaged, person=f"{ended.reason}; set: {told}")
+    with tempfile.TemporaryDirectory() as folder:
+        bounds, person = of_bench(job, calibration, Path(folder))
+        told = ", ".join(f"{bound.key} {bound.after:.3g}" for bound in bounds if bound.after > bound.before)
+        return walked(job, calibration, person)._replace(packaged=packaged, person=f"{ended.reason}; set: {told}")
 
 
-BENCH_MARGIN = 1.25
-"""Bounds of a person's file, relative to the largest values of a trial on the bench without a limb.
-
-Chosen: sessions differ by 10 % of friction and by stiffness, homing and pace.  If it is too small, healthy trials are
-stopped; if it is too large, a fault is stopped later."""
-
-
-def of_bench(job: Job, calibration: Any) -> dict[str, float]:
-    """Return the bounds that are the bench's, not the person's, from a trial of another session of the job's bench."""
+def of_bench(job: Job, calibration: Any, folder: Path) -> tuple[list[monitor_bounds.BenchBound], Path]:
+    """Return the bounds by `bowden monitor-bounds` from a trial of another session of the job's bench, and their file.
+    """
     place = job.number // 4
     other = family(place, (place + 1) % DAYS) if job.number % 4 == 3 else {"day": job.bench.get("day", 0) + 1}
-    wide = {name: safety_monitor.person.RANGES[name][2] for name in ("start_n", "force_rate_n_s", "rope_m_s")}
-    most = dict.fromkeys(wide, 0.0)
-    plain = monitor_node.step
-
-    def watched(state: MonitorState, bounds: Bounds, master: int, drives: Sequence[int], time_ns: int,
-                frames: Iterable[Frame], paths: Sequence[PathInputs]) -> MonitorState:
-        course = (*state.history, (time_ns, tuple(PathInputs(*path) for path in paths)))
-        if len(course) > WINDOW:
-            now = Present(state, time_ns, course[-1][1], course, ())
-            for name, reached in (("start_n", [path.start_n for path in now.paths]),
-                                  ("force_rate_n_s", now.rates(0)), ("rope_m_s", rope_ahead(now))):
-                most[name] = max(most[name], *reached)
-        return plain(state, bounds, master, drives, time_ns, frames, paths)
-
-    monitor_node.step = watched
-    try:
-        walked(job._replace(bench=job.bench | other), calibration, wide)
-    finally:
-        monitor_node.step = plain
-    return {name: BENCH_MARGIN * value for name, value in most.items()}
+    recording, person = folder / "bench.mcap", folder / "P.toml"
+    walked(job._replace(bench=job.bench | other, monitored=False), calibration, recording=recording)
+    bounds, text = monitor_bounds.of_trials([recording], person_of(job.peak_n, job.period_s, folder))
+    person.write_text(text, encoding="utf-8")
+    return bounds, person
 
 
-def walked(job: Job, calibration: Any, bounds: Mapping[str, float] | None = None) -> Ended:
-    """Run one trial, under a safety monitor if it has one, without a recorder.
+def walked(job: Job, calibration: Any, person: Path | None = None, recording: Path | None = None) -> Ended:
+    """Run one trial, under a safety monitor if it has one, without a recorder unless it is to be recorded.
 
-    `bounds`: of the person's file, where they exceed those of the packaged one.
+    `person`: the person's file in place of the packaged one for the job's peak and period.
     No monitor socket drains the bus: it would only cost time, and the master counts targets as sent by its own record.
     """
     worst, limits = np.zeros(len(NAMES)), settings.Limits()
@@ -237,7 +215,7 @@ def walked(job: Job, calibration: Any, bounds: Mapping[str, float] | None = None
 
     experiment_run.Repetition = Kept  # type: ignore[misc]
     with tempfile.TemporaryDirectory() as folder:
-        person = person_of(job.peak_n, job.period_s, Path(folder), bounds or {})
+        person = person or person_of(job.peak_n, job.period_s, Path(folder))
         monitor = {"monitor": str(person)} if job.monitored else {}
         bus = BowdenBus(f"healthy-{job.number}", rate_hz=job.rate_hz, **monitor, **job.bench)
     asked = experiment_run.ExperimentSetup(
@@ -245,17 +223,17 @@ def walked(job: Job, calibration: Any, bounds: Mapping[str, float] | None = None
         calibration=calibration,
         gait=settings.Gait(
             peak_n=job.peak_n, period_s=job.period_s, cycles=job.cycles, settle=0, controller=job.controller))
-    result = experiment_run.run(Link(bus, bus.time_ns), None, None, asked)
+    recorder = None if recording is None else Recorder(recording, metadata={}, attachments={}, threaded=False)
+    result = experiment_run.run(Link(bus, bus.time_ns), None, recorder, asked)
     bus.shutdown()
+    if recorder is not None:
+        recorder.close(dataclasses.asdict(result))
     return Ended(job.number, result.stop_reason, worst.tolist(), None, list(watches[-1].shares) if watches else [],
                  result.duration_s, job.cycles * job.period_s, job.monitored)
 
 
-def person_of(peak_n: float, period_s: float, folder: Path, least: Mapping[str, float]) -> Path:
-    """Write a person's file for another peak and gait than the packaged: forces by the peak, speed by the period.
-
-    `least`: bounds that the file has at least.
-    """
+def person_of(peak_n: float, period_s: float, folder: Path) -> Path:
+    """Write a person's file for another peak and gait than the packaged: forces by the peak, speed by the period."""
     by = peak_n / 40.0
     text = safety_monitor.packaged().read_text(encoding="utf-8")
     for key, factor in {"start_n": by, "end_n": by, "force_rate_n_s": max(1.0, by) * max(1.0, 1.1 / period_s),
@@ -265,7 +243,7 @@ def person_of(peak_n: float, period_s: float, folder: Path, least: Mapping[str, 
         top = safety_monitor.person.RANGES[key][2]
         text = re.sub(rf"(?m)^{key} = ([\d.]+)",
                       lambda m, key=key, factor=factor, top=top:
-                      f"{key} = {min(top, max(least.get(key, 0.0), factor * float(m[1]))):.3g}", text)
+                      f"{key} = {min(top, factor * float(m[1])):.3g}", text)
     path = folder / f"person-{peak_n:g}-{period_s:g}.toml"
     path.write_text(text, encoding="utf-8")
     return path

@@ -55,7 +55,8 @@ class ShortHelpCommand(TyperCommand):
 PANELS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({
     "Run": ("trial", "replay", "sweep", "verify", "bench"),
     "Data": ("report", "diagnose", "import", "export", "info", "compare", "cut", "merge", "recover", "live", "watch"),
-    "Bench": ("init", "check", "doctor", "home", "tare", "jog", "release", "acknowledge", "safety-monitor", "identify"),
+    "Bench": ("init", "check", "doctor", "home", "tare", "jog", "release", "acknowledge", "safety-monitor",
+              "monitor-bounds", "identify"),
     "Model": ("fit", "simulate", "plan", "discover", "mend"),
     "CAN": ("node", "lss", "monitor", "record"),
     "Logbook": ("logbook",),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,9 @@ from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import Bus, SimulatedOptions, option
 from bowden.cli.terminal import CommandAnswer
+
+if TYPE_CHECKING:
+    from bowden.bench.monitor_bounds import BenchBound
 
 Faults = Annotated[Path | None, option(
     "Faults of nodes: [[fault]] tables with kind, node, start_s, stop_s.", metavar="FILE")]
@@ -62,6 +65,43 @@ def bench(
     result = {"received": served.received, "sent": served.sent, "lost": served.lost, "behind_ns": served.behind_ns}
     return CommandAnswer(result, ", ".join(f"{name} {value}" for name, value in result.items()),
                          ending.CTRL_C if ended() else 0)
+
+
+BenchTrials = Annotated[list[Path], options.argument("TRIAL…", "Completed trials of the bench without a limb: MCAP.")]
+PersonFile = Annotated[Path, option("The person's file.", "--person", metavar="FILE")]
+NewPersonFile = Annotated[Path, options.new_file("The person's file to write.", "a person's file", ".toml")]
+
+
+@app.command(name="monitor-bounds")
+def monitor_bounds(trials: BenchTrials, person: PersonFile, output: NewPersonFile) -> CommandAnswer:
+    """Set the safety monitor's bounds that are the bench's.
+
+    START, the rise of a tension and the speed of the rope become at least 1.25 times what the trials reached; no bound
+    becomes smaller.  Whoever signed the person's file signs the new one.
+
+    Example: bowden monitor-bounds bench.mcap --person person.toml -o P-017.toml
+    """
+    from bowden.bench import monitor_bounds as bench
+    from parameters.files import write_whole
+
+    with terminal.waiting("reading the trials"):
+        found, text = bench.of_trials(trials, person)
+    write_whole(output, text, overwrite=True)
+    return CommandAnswer({"person": str(output), "bounds": {bound.key: bound._asdict() for bound in found}},
+                         lambda: _tell_bounds(output, found))
+
+
+def _tell_bounds(output: Path, found: list[BenchBound]) -> None:
+    from bowden.bench.monitor_bounds import BENCH_MARGIN, NAMES
+    from safety_monitor.person import RANGES
+
+    terminal.table("bounds of the bench", ("bound", "unit", "largest", f"× {BENCH_MARGIN}", "before", "now"), [
+        (NAMES[bound.key], RANGES[bound.key][0],
+         *(f"{value:.3g}" for value in (bound.largest, BENCH_MARGIN * bound.largest, bound.before, bound.after)))
+        for bound in found])
+    raised = [f"{bound.key} {bound.before:g} to {bound.after:g} {RANGES[bound.key][0]}" for bound in found
+              if bound.after > bound.before]
+    print(f"{output}: " + (f"larger now: {'; '.join(raised)}." if raised else "no bound had to be larger."))
 
 
 Person = Annotated[str, typer.Argument(metavar="FILE", help="Bounds of one person, or packaged.")]
