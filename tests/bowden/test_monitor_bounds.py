@@ -66,7 +66,8 @@ def test_each_bound_is_a_margin_above_what_the_monitor_would_see(
     assert status == 0, err
     largest = {key: bound["largest"] for key, bound in json.loads(out)["bounds"].items()}
     rope_ahead = 0.1 * 2 * np.pi * np.hypot(1.0, 2 * np.pi * 6e-3)  # speed with 6 ms of its acceleration ahead
-    assert largest == pytest.approx({"start_n": 50.0, "force_rate_n_s": 10.0 * 2 * np.pi * 20.0, "rope_m_s": rope_ahead},
+    rise = 10.0 * 2 * np.pi * 20.0
+    assert largest == pytest.approx({"start_n": 50.0, "force_rate_n_s": rise, "rope_m_s": rope_ahead},
                                     rel=0.02)  # 3 ms chords of a sine of 50 ms: 0.6 %; 1 ms grid of the speed: 0.1 %
     after = read(here / "P.toml")
     for key, value in largest.items():
