@@ -30,7 +30,7 @@ class Ending:
         return status if self.number is None or not status else 128 + self.number
 
     def told(self) -> str:
-        """Print which signal ended the command."""
+        """Return which signal ended the command, as a sentence."""
         name = "" if self.number is None else f" by {signal.Signals(self.number).name}"
         return f"bowden: interrupted{name}."
 

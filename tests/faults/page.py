@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Sequence
+import string
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +30,11 @@ from tests.faults.rows import ROWS
 from tests.faults.stage import PEAK_N, SEED
 
 BOUNDS = tuple((name, *of) for name, of in STOP.items())
-WORST = 5
+WORST = 3
 UNSAID = "<!-- search -->"
 HEAD = f"""# What happens when something breaks
 
-`make faults` breaks a {PEAK_N:g} N trial of the virtual bus (serial 1, seed {SEED}) in every way of `tests/faults/rows.py` and `tests/faults/slow.py`,
+For whoever asks what a broken part does to a wearer. `make faults` breaks a {PEAK_N:g} N trial of the virtual bus (serial 1, seed {SEED}) in every way of `tests/faults/rows.py` and `tests/faults/slow.py`,
 compares it with its twin, the same trial unbroken, and goes on until the bench stands still. [faults.csv](faults.csv) has one row for each run: the fault, its
 moment (per cent of the first gait cycle; ramp 14.5, peak 20, idle 60; "s": seconds of another motion; start: before bring-up), controller, period and
 bench, when it was said and in which words, and what was measured. This page shows the worst of them.
@@ -125,16 +126,18 @@ def _summary(found: Sequence[Verdict]) -> list[str]:
     reasons = {v.name: v.unstoppable for v in stops if v.unstoppable and beyond_stop(v)}
     if reasons:
         lines += ["", "## Stops that cannot keep the bounds, and why", ""]
-        lines += [f"- {name}: {_stop_of(name, found)}; {reason}." for name, reason in reasons.items()]
+        lines += ["Worst of each measure, in its unit above; below, the reasons by letter.", ""]
+        lines += _with_reasons([*(words for _, words, *_ in BOUNDS)], {name: (_stop_of(name, found), reason) for name, reason in reasons.items()})
     over = {v.name: v.beyond for v in found if v.beyond and (
         v.apart_n > MOMENT_N or v.unsaid_n > UNSAID_N or v.leg_deg > LEG_DEG)}
     if over:
         lines += ["", "## Slow faults that depart further before they are said, and why", ""]
-        lines += [f"- {name}: {_unsaid_of(name, found)}; {reason}." for name, reason in over.items()]
+        lines += _with_reasons(["END off, N", f"for {UNSAID_MS} ms, N", "leg off, degrees", "true END, N"],
+                               {name: (_unsaid_of(name, found), reason) for name, reason in over.items()})
     quiet = {v.name: v.excuse for v in found if v.excuse and math.isnan(v.detected_ms)}
     if quiet:
         lines += ["", "## What goes unsaid, and why no signal could show it", ""]
-        lines += [f"- {name}: {excuse}." for name, excuse in quiet.items()]
+        lines += [f"- {', '.join(name for name in quiet if quiet[name] == excuse)}: {excuse}." for excuse in dict.fromkeys(quiet.values())]
     return [*lines, "", "## By unsafe control action", "", *_by_action(found), "", "## Time by hazard", "", *_by_hazard(found)]
 
 
@@ -152,17 +155,25 @@ def _said(v: Verdict) -> str:
     return (v.said.replace("|", "/") or "–")[:90]
 
 
-def _stop_of(name: str, found: Sequence[Verdict]) -> str:
+def _with_reasons(columns: Sequence[str], faults: Mapping[str, tuple[Sequence[str], str]]) -> list[str]:
+    """Return a table of faults with their figures and the letter of a reason, and the reasons behind it."""
+    letters = dict(zip(dict.fromkeys(reason for _, reason in faults.values()), string.ascii_lowercase, strict=False))
+    return [f"| fault | {' | '.join(columns)} | why |", "|---" * (len(columns) + 2) + "|",
+            *(f"| {name} | {' | '.join(figures)} | {letters[reason]} |" for name, (figures, reason) in faults.items()), "",
+            *(f"- {letter}: {reason}." for reason, letter in letters.items())]
+
+
+def _stop_of(name: str, found: Sequence[Verdict]) -> list[str]:
     """Return the worst of each measure over a fault's rows."""
     mine = [v for v in found if v.name == name and not math.isnan(v.torque_ms)]
-    return ", ".join(f"{words} {max(getattr(v, column) for v in mine):.0f} {unit}" for column, words, unit, _, _ in BOUNDS)
+    return [f"{max(getattr(v, column) for v in mine):.0f}" for column, *_ in BOUNDS]
 
 
-def _unsaid_of(name: str, found: Sequence[Verdict]) -> str:
+def _unsaid_of(name: str, found: Sequence[Verdict]) -> list[str]:
     """By how much the worst row of a fault moved END and the leg unsaid."""
     mine = [v for v in found if v.name == name]
-    return (f"END off by up to {max(v.apart_n for v in mine):.1f} N, {max(v.unsaid_n for v in mine):.1f} N for {UNSAID_MS} "
-            f"ms, the leg by {max(v.leg_deg for v in mine):.1f}°, true tension {max(v.peak_end_n for v in mine):.0f} N")
+    return [f"{max(getattr(v, column) for v in mine):.{digits}f}"
+            for column, digits in (("apart_n", 1), ("unsaid_n", 1), ("leg_deg", 1), ("peak_end_n", 0))]
 
 
 def _by_action(found: Sequence[Verdict]) -> list[str]:

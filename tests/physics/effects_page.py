@@ -46,8 +46,9 @@ def _effect(effect: Effect) -> str:
 
 
 def _index() -> str:
-    rows = (f"| [`{e.name}`](#{e.name}) | {e.site} | {e.law.replace('|', chr(92) + '|')} |" for e in CATALOGUE.values())
-    return "| effect | site | law |\n|---|---|---|\n" + "\n".join(rows) + "\n"
+    rows = (f"| {site} | {', '.join(f'[`{e.name}`](#{e.name})' for e in CATALOGUE.values() if e.site == site)} |"
+            for site in dict.fromkeys(e.site for e in CATALOGUE.values()))
+    return "| site | effects |\n|---|---|\n" + "\n".join(rows) + "\n"
 
 
 def _experiments() -> str:

@@ -17,6 +17,7 @@ from parameters import InputError
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
+    from eds.datatype import DataType
     from eds.dictionary import Dictionary
     from master.network.link import Link
     from master.node_access.dcf import DescribedNode, ParameterDifference
@@ -109,7 +110,6 @@ def write(
 
     Example: bowden node write 1 1017 500
     """
-    from master.network.sdo import SdoError
     from master.node_access import object_text
 
     if (value is None) == (given is None):
@@ -123,10 +123,7 @@ def write(
         data = one.encoded(at, value or "", type) if content is None else content
         one.write_bytes(at, data, block=block)
         kind = one.kind(at, type)
-        try:
-            now = object_text.value_of(kind, one.read_bytes(at, block=block))
-        except SdoError:
-            now = None
+        now = _read_or_none(one, at, kind, block=block)
         scaled = one.units.get(at)
     return CommandAnswer(
         {"node": one.node_id, "object": object_text.shown_key(at), "name": one.name(at), "written": len(data),
@@ -187,7 +184,8 @@ def pdo(
         for index in dict.fromkeys((*maps, *settings)):
             pdo_settings.configure(one.link, one.node_id, index, maps.get(index), settings.get(index))
         states = one.pdos()
-        values = {at: _read_or_none(one, at) for state in states for at in (word >> 8 for word in state.mapping)}
+        mapped_objects = {word >> 8 for state in states for word in state.mapping}
+        values = {at: _read_or_none(one, at, one.kind(at)) for at in mapped_objects}
         units = one.units
     lines = [line for state in states for line in (_pdo_line(state), *(
         f"    {object_text.shown_key(at)} {one.name(at)}, {word & 0xFF} bits = "
@@ -221,12 +219,13 @@ def _transmission(kind: int) -> str:
     return "event-driven" if kind >= 254 else "on remote request"
 
 
-def _read_or_none(one: NodeAccess, at: int) -> Any:
+def _read_or_none(one: NodeAccess, at: int, kind: DataType | None, *, block: bool = False) -> Any:
+    """Return the value of an object; None if the node refuses to be read."""
     from master.network.sdo import SdoError
     from master.node_access import object_text
 
     try:
-        return object_text.value_of(one.kind(at), one.read_bytes(at))
+        return object_text.value_of(kind, one.read_bytes(at, block=block))
     except SdoError:
         return None
 

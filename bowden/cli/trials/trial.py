@@ -11,16 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import (
-    Bus,
-    SimulatedOptions,
-    StrideOptions,
-    WalkOptions,
-    WatchOptions,
-    new_file,
-    option,
-    spelled,
-)
+from bowden.cli.options import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, option
 from bowden.cli.terminal import CommandAnswer
 
 if TYPE_CHECKING:
@@ -29,7 +20,7 @@ if TYPE_CHECKING:
     from bowden.watch.file_watch import WatchedBench
     from bowden.watch.watch_process import TrialWatch
 
-NewTrial = Annotated[Path, new_file("File to write.", "a trial", ".mcap")]
+NewTrial = Annotated[Path, options.new_file("File to write.", "a trial", ".mcap")]
 Web = Annotated[str | None, option("Live page with a stop button; port 0: a free one.", metavar="[HOST:]PORT")]
 
 
@@ -57,7 +48,7 @@ def trial(
 
     own = {"--knee": knee, "--desired": desired, "--calibration": calibration, "--controller-model": controller_model}
     repeated_motion.refuse_beside(motion_of, experiment, {
-        **own, **spelled(walk, strides), "--dry-run": dry_run or None, "--homing-n": homing_n})
+        **own, **options.spelled(walk, strides), "--dry-run": dry_run or None, "--homing-n": homing_n})
     sections = reached.sections(rate)
     sections["network"] = configuration.with_monitor(sections["network"], monitor)
     sections["homing"] = configuration.homing(sections["homing"], homing_n)
@@ -121,7 +112,7 @@ def _performed(prepared: PreparedTrial, network: Any, output: Path, picture: Pat
 
 
 def _where(chosen: buses.BusSettings) -> str:
-    """Print, before anything moves, whether the bench is real or simulated."""
+    """Describe the bench, simulated or real, for the remark before anything moves."""
     if chosen.simulated:
         told = ", ".join(f"{name} {chosen.arguments[name]}" for name in ("serial", "day", "seed", "plant"))
         return f"SIMULATED bench, {told}; --interface names a real bus."
