@@ -13,6 +13,7 @@ from scipy.stats import t as student
 
 from trial.report.page import Page, Tile, number
 from trial.report.plot import Plot, Series
+from trial.report.words import words
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def write_page(result: MendedBench, path: Path) -> None:
             Series("without", result.before, "#d97706", points=True),
             Series("with", result.after, "#2563eb", points=True)], "pair", "%"))
     page.section("Steps")
-    page.table(["step", "what happened"], [(line["step"], _words(line["result"])) for line in result.steps[1:]])
+    page.table(["step", "what happened"], [(line["step"], _step_sentence(line["result"])) for line in result.steps[1:]])
     page.section("Files")
     page.text(f"Trials, journal.jsonl and, where it was kept, extended.toml are in {result.folder}.")
     page.write(path, overwrite=True)
@@ -86,19 +87,19 @@ def write_page(result: MendedBench, path: Path) -> None:
 
 def _sentence(result: MendedBench) -> str:
     """Return the named causes and the ending as text."""
-    cause = ", ".join(name.replace("_", " ") for name in result.names) or "; ".join(result.equations)
+    cause = ", ".join(map(words, result.names)) or "; ".join(result.equations)
     if not cause:
         return f"{result.ending[:1].upper()}{result.ending[1:]}."
     return f"Named: {cause}. {result.ending[:1].upper()}{result.ending[1:]}."
 
 
-def _words(result: dict[str, Any]) -> str:
+def _step_sentence(result: dict[str, Any]) -> str:
     """Return a step's result in words: a trial, a diagnosis or a plan."""
     if "file" in result:
         percent = "END not measured" if result["percent"] is None else f"END off by {number(result['percent'], 3)} %"
         stopped = f" ({result['stop_reason']})" if result["stop_reason"] else ""
         return f"{result['file']}: {result['outcome']}{stopped}, {result['seconds']:.0f} s, {percent}"
     if "verdict" in result:
-        among = ", ".join(name.replace("_", " ") for name in result["class"])
+        among = ", ".join(map(words, result["class"]))
         return "; ".join([str(result["verdict"]) + (f": {among}" if among else ""), *result["equations"]])
     return str(result["experiment"] or "no experiment is likely to decide")

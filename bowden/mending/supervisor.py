@@ -31,6 +31,7 @@ from parameters.files import write_whole
 from physics.bench_model import BenchModel
 from physics.effects.catalogue import CATALOGUE, unchanged
 from physics.effects.compensation import UNDONE
+from trial.report.words import words
 
 PAIRS: Final = 4
 """Pairs of trials without and with the extension: the fewest whose interval of a gain excludes 0 at 2 σ of scatter."""
@@ -133,8 +134,8 @@ class _Run:
             return replace(outcome, ending="nothing to mend: no cause is named and no law was found")
         sensed = [name for name in found.rivals if CATALOGUE[name].site == "END sensor"]
         if found.verdict == "ambiguous" and sensed:
-            return replace(outcome, ending=f"not tried: END itself may read wrongly ({', '.join(sensed)}), so that it "
-                                           "proves nothing")
+            return replace(outcome, ending=f"not tried: END itself may read wrongly ({', '.join(map(words, sensed))}), so "
+                                           "that it proves nothing")
         choices = [each for each in (found, *found.alternatives) if _compensable(each.model)]
         if not choices:
             return replace(outcome, ending="not tried: a controller cannot compensate it by START, rope and knee")
@@ -163,7 +164,7 @@ class _Run:
         before = self.bench.apart(self._without("choice of nothing"))
         rated = list[tuple[float, int, float]]()
         for k, each in enumerate(choices):
-            name = each.causes[0]["effect"] if each.causes else "law"
+            name = words(each.causes[0]["effect"]) if each.causes else "law"
             result = self._with(f"choice of {name}", each)
             if result is not None:
                 moved = self.bench.apart(result) - before

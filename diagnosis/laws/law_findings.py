@@ -35,13 +35,13 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     """
     blocks = blocks_of(tables, observed.trials)
     search = LawSearch(observed, reference.prior_of(observed), reference, blocks, variants)
-    chosen, at, session, fault = list[Candidate](), search.base, search.held_out(), ""
+    chosen, at, session, fault = list[Candidate](), search.first, search.held_out(), ""
     residual, runners = session, list[Candidate]()
 
     def figures(before: Array, after: Array) -> dict[str, Figures]:
         return HeldOut(observed, reference.missed(observed), before, after, blocks).figures(reference)
 
-    outside, least = departure(observed, at) > DOUBTED, _least(reference, observed)
+    least = _least(reference, observed)
     while len(chosen) < MOST_TERMS:
         offers = search.further(chosen, at)
         # the evidence is linear and of all cycles, so that held-out cycles decide between nearly equal candidates
@@ -53,7 +53,7 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
             errors = figures(residual, then)
             judged = {name: errors[name] for name in least}
             fault = _worse(errors) or _fault(judged, least)
-            back = not chosen and outside and departure(observed, there) <= DOUBTED and not _worse(errors)
+            back = not chosen and search.outside and departure(observed, there) <= DOUBTED and not _worse(errors)
             if not fault or back:
                 left = sum((f.rmse_after or 0.0)**2 / least[name] for name, f in judged.items())
                 tried.append((bool(fault), -there.log_evidence if fault else left, len(tried), more, there, then))

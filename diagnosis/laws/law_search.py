@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 
-from diagnosis.evidence.decision import NAMED_NATS
+from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, departure
 from diagnosis.laws.library import VIBRATING, Candidates, candidates, carriers_of
 from estimation.modulated_recording import ModulatedRecording, modulated
 from estimation.posterior import Gaussian, PosteriorMode, SessionData, begun, mode, screened
@@ -60,6 +60,9 @@ class LawSearch:
     """Search of terms in the trials of one session, from the fit `base` of constants and discrepancy.
 
     `blocks`: cycle number of each bin, by trial.  `variants`: effects of the catalogue that stand beside the terms.
+    `outside`: whether the session's constants are outside their scatter in `base`.  `first`: mode where the first term
+    is sought, and whose courses modulate: the reference condition if `outside`, since constants that absorbed a change
+    hide its form, else `base`.
     """
 
     observed: SessionData
@@ -68,6 +71,8 @@ class LawSearch:
     blocks: Sequence[NDArray[np.intp]]
     variants: Sequence[Variant] = ()
     base: PosteriorMode = field(init=False)
+    outside: bool = field(init=False)
+    first: PosteriorMode = field(init=False)
     carriers: dict[str, Carrier] = field(init=False)
     modulated: list[ModulatedRecording] = field(init=False)
     library: Candidates = field(init=False)
@@ -81,8 +86,11 @@ class LawSearch:
             sizes = screened(self.base, self.observed, variant)[1]
             start = begun(self.base, variant, sizes, self.variants[:count])
             self.base = mode(self.observed, self.prior, self.variants[:count + 1], start)
+        self.outside = departure(self.observed, self.base) > DOUBTED
+        self.first = self.base if self.variants or not self.outside else mode(
+            self.observed, self.prior, start=self.prior.mean, descends=False)
         model = self.observed.model
-        self.modulated = [modulated(model, self.base.q, trial) for trial in self.observed.trials]
+        self.modulated = [modulated(model, self.first.q, trial) for trial in self.observed.trials]
         self.carriers = carriers_of(model, self.observed.outputs)
         self.library = candidates(self.modulated[0].course)
 
@@ -125,8 +133,13 @@ class LawSearch:
         """Return the joint mode of constants, discrepancy and the coefficients of terms, which are its last entries.
 
         `at`: mode where the fit starts and its columns are linearised; each of the `passes` linearises them anew.
+        None: the likelier of the fits from `base` and from `first`.
         """
-        observed, at = observed or self.observed, at or self.base
+        observed = observed or self.observed
+        if at is None:
+            starts = [self.base] if self.first is self.base else [self.base, self.first]
+            return max((self.fitted(chosen, observed, start, passes) for start in starts),
+                       key=lambda m: m.log_evidence)
         plain = self.base.x.size
         for _ in range(passes if chosen else 1):
             columns, sds = self.columns(self.sensitivities(at), chosen)

@@ -180,10 +180,12 @@ def mend(
 
 
 def _tell_mended(found: MendedBench) -> None:
+    from trial.report.words import words
+
     for equation in found.equations:
         terminal.sentence(f"Law: {equation}.")
     if found.names:
-        print(f"Named: {', '.join(found.names)}.")
+        print(f"Named: {', '.join(map(words, found.names))}.")
     if found.gain is not None:
         low, high = found.interval or (float("nan"), float("nan"))
         print(f"END's error falls by {found.gain:.3g} points of the peak (95 %: {low:.3g} … {high:.3g}).")
