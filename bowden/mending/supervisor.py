@@ -134,8 +134,8 @@ class _Run:
             return replace(outcome, ending="nothing to mend: no cause is named and no law was found")
         sensed = [name for name in found.rivals if CATALOGUE[name].site == "END sensor"]
         if found.verdict == "ambiguous" and sensed:
-            return replace(outcome, ending=f"not tried: END itself may read wrongly ({', '.join(map(words, sensed))}), so "
-                                           "that it proves nothing")
+            return replace(outcome, ending="not tried: END itself may read wrongly "
+                                           f"({', '.join(map(words, sensed))}), so that it proves nothing")
         choices = [each for each in (found, *found.alternatives) if _compensable(each.model)]
         if not choices:
             return replace(outcome, ending="not tried: a controller cannot compensate it by START, rope and knee")
