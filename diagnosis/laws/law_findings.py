@@ -30,8 +30,9 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     """Return the terms that extend the model of `reference` in trials of one session.
 
     `observed`: the trials' data; `tables`: the same trials; `variants`: effects that stay beside the terms.  A term is
-    kept if it gains on held-out cycles, or brings the session's constants back into their scatter, and worsens no
-    signal on held-out cycles by more than `WORSE`.  The first one that is not kept ends the search.
+    kept if it gains on held-out cycles, or brings the session's constants back into their scatter and lowers their
+    departure to less than half (`DOUBTED`), and worsens no signal on held-out cycles by more than `WORSE`.  The first
+    one that is not kept ends the search.
     """
     blocks = blocks_of(tables, observed.trials)
     search = LawSearch(observed, reference.prior_of(observed), reference, blocks, variants)
@@ -53,7 +54,9 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
             errors = figures(residual, then)
             judged = {name: errors[name] for name in least}
             fault = _worse(errors) or _fault(judged, least)
-            back = not chosen and search.outside and departure(observed, there) <= DOUBTED and not _worse(errors)
+            # where the model is wrong, any bump that fits its error takes a little of the departure
+            back = not chosen and not _worse(errors) and departure(observed, there) <= min(
+                DOUBTED, search.departed / DOUBTED) and search.departed > DOUBTED
             if not fault or back:
                 left = sum((f.rmse_after or 0.0)**2 / least[name] for name, f in judged.items())
                 tried.append((bool(fault), -there.log_evidence if fault else left, len(tried), more, there, then))

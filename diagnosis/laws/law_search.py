@@ -60,9 +60,9 @@ class LawSearch:
     """Search of terms in the trials of one session, from the fit `base` of constants and discrepancy.
 
     `blocks`: cycle number of each bin, by trial.  `variants`: effects of the catalogue that stand beside the terms.
-    `outside`: whether the session's constants are outside their scatter in `base`.  `first`: mode where the first term
-    is sought, and whose courses modulate: the reference condition if `outside`, since constants that absorbed a change
-    hide its form, else `base`.
+    `departed`: departure of the session in `base`.  `first`: mode where the first term is sought, and whose courses
+    modulate: the reference condition if the session's constants are outside their scatter, since they then hide the
+    form of the change that they absorbed, else `base`.
     """
 
     observed: SessionData
@@ -71,7 +71,7 @@ class LawSearch:
     blocks: Sequence[NDArray[np.intp]]
     variants: Sequence[Variant] = ()
     base: PosteriorMode = field(init=False)
-    outside: bool = field(init=False)
+    departed: float = field(init=False)
     first: PosteriorMode = field(init=False)
     carriers: dict[str, Carrier] = field(init=False)
     modulated: list[ModulatedRecording] = field(init=False)
@@ -86,8 +86,8 @@ class LawSearch:
             sizes = screened(self.base, self.observed, variant)[1]
             start = begun(self.base, variant, sizes, self.variants[:count])
             self.base = mode(self.observed, self.prior, self.variants[:count + 1], start)
-        self.outside = departure(self.observed, self.base) > DOUBTED
-        self.first = self.base if self.variants or not self.outside else mode(
+        self.departed = departure(self.observed, self.base)
+        self.first = self.base if self.variants or self.departed <= DOUBTED else mode(
             self.observed, self.prior, start=self.prior.mean, descends=False)
         model = self.observed.model
         self.modulated = [modulated(model, self.first.q, trial) for trial in self.observed.trials]

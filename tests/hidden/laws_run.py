@@ -139,8 +139,8 @@ def row(kind: str, asked: Question) -> dict[str, Any]:
             return float(np.sqrt(np.mean([(getattr(errors[n], f"rmse_{which}") / noise[n]) ** 2 for n in noise])))
 
         own = ""
-        search = LawSearch(observed, reference.prior_of(observed), reference, blocks_of(tables, observed.trials))
         if asked.effects:
+            search = LawSearch(observed, reference.prior_of(observed), reference, blocks_of(tables, observed.trials))
             own = f"{weighed(_own(search, tables, asked.effects[0]), 'after'):.4g}"
         elif name not in ADDED and made.clean.any():
             exact = {**columns, **{n: columns[n] - clean for n, clean in zip((START, END), made.clean, strict=True)}}

@@ -134,6 +134,8 @@ def _second(asked: Question) -> Drawn:
 
     trial = made(asked.hidden, seed, noise[0])
     same = made(["null"], 50000 + seed, noise[1], draws=False)
+    if asked.hidden == ("null",):
+        return Drawn(references, same, trial, 0.0, np.zeros_like(_tensions(trial)))
     base = made(["null"], seed, 0.0)
     clean = _difference(made(asked.hidden, seed, 0.0), base)
     steps = [_difference(made(["null"], seed, 0.0, {**bench, name: bench[name] * (1.0 + sd)}), base)
@@ -163,9 +165,10 @@ def _first(asked: Question) -> Drawn:
 
     trial = made(asked.hidden, seed, sd=0.2)
     same = made(["null"], 50000 + seed, sd=0.2, draws=False)
+    if not asked.effects:
+        return Drawn(references, same, trial, 0.0, np.zeros_like(_tensions(trial)))
     base = made(["null"], seed)
-    still = np.zeros_like(_tensions(base))
-    clean = _difference(made(asked.hidden, seed), base) if asked.effects else still
+    clean = _difference(made(asked.hidden, seed), base)
     steps = [_difference(made(["null"], seed, {**nominal, name: value}), base) for name, value in (
         ("mu1", 1.03 * nominal["mu1"]), ("mu2", 1.05 * nominal["mu2"]), ("kf0", 1.03 * nominal["kf0"]), ("x0", 0.2))]
     return Drawn(references, same, trial, _separation(clean, steps, base, 0.2), clean)
