@@ -30,9 +30,9 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     """Return the terms that extend the model of `reference` in trials of one session.
 
     `observed`: the trials' data; `tables`: the same trials; `variants`: effects that stay beside the terms.  A term is
-    kept if it gains on held-out cycles, or brings the session's constants back into their scatter and lowers their
-    departure to less than half (`DOUBTED`), and worsens no signal on held-out cycles by more than `WORSE`.  The first
-    one that is not kept ends the search.
+    kept if it worsens no signal on held-out cycles by more than `WORSE`, and gains on them.  So is a first one that
+    brings the session's constants back into their scatter and halves their departure (`DOUBTED`).  The first term that
+    is not kept ends the search.
     """
     blocks = blocks_of(tables, observed.trials)
     search = LawSearch(observed, reference.prior_of(observed), reference, blocks, variants)
