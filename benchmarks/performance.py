@@ -458,28 +458,31 @@ MEMORY = {
     "bowden export, Parquet": "export {at}.mcap -o {at}.parquet", "bowden export, BLF": "export {at}.mcap -o {at}.blf",
 }
 """Commands whose memory does not depend on the length of a trial, in the order in which they run."""
-HEALTHY = "trial --period 2 --cycles 10 --peak 45 --seed 1 -o {at}.healthy.mcap"
-BOUNDED = {"bowden diagnose": "diagnose {at}.mcap --healthy {at}.healthy.mcap",
-           "bowden watch": "watch {at}.mcap --healthy {at}.healthy.mcap"}
-"""Commands that read windows of a long trial."""
+HEALTHY = "trial --period 2 --cycles 10 --peak 45 --seed 1 -o {healthy}.mcap"
+BOUNDED = {"bowden diagnose": "diagnose {at}.mcap --healthy {healthy}.mcap",
+           "bowden watch": "watch {at}.mcap --healthy {healthy}.mcap"}
+"""Commands that fit windows of a trial, 120 s together, and whose memory does not depend on the length of a longer one.
+"""
 HOUR_CYCLES = 1800
 """Gait cycles of 2 s in an hour."""
 
 
 def memory() -> Iterator[Row]:
-    """Measure the peak memory of commands with a trial of 240 s and of 30 s; of those that read windows, an hour's."""
+    """Measure the peak memory of commands with a trial of 240 s and of 30 s; of those that fit windows, with an hour's.
+    """
     with tempfile.TemporaryDirectory() as folder:
         used(MEMORY["bowden trial"], at=f"{folder}/compiles", cycles=2)
         for name, line in MEMORY.items():
             short, long = (used(line, at=f"{folder}/{cycles}", cycles=cycles)[1] for cycles in (15, 120))
             yield (f"peak memory of `{name}`, a trial of 240 s, MB", f"{long:.0f}", "one of 30 s", f"{short:.0f}",
                    f"{short / long:.2f}")
-        hour = {"at": f"{folder}/hour", "cycles": HOUR_CYCLES}
         for line in (MEMORY["bowden trial"], HEALTHY):
-            used(line, **hour)
+            used(line, at=f"{folder}/{HOUR_CYCLES}", cycles=HOUR_CYCLES, healthy=f"{folder}/healthy")
         for name, line in BOUNDED.items():
-            yield (f"peak memory of `{name}`, a trial of an hour at 1 kHz, MB", f"{used(line, **hour)[1]:.0f}",
-                   *["–"] * 3)
+            short, long = (used(line, at=f"{folder}/{cycles}", healthy=f"{folder}/healthy")[1]
+                           for cycles in (120, HOUR_CYCLES))
+            yield (f"peak memory of `{name}`, a trial of an hour at 1 kHz, MB", f"{long:.0f}", "one of 240 s",
+                   f"{short:.0f}", f"{short / long:.2f}")
 
 
 ROWS: dict[str, Callable[[], Iterator[Row]]] = {

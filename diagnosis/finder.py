@@ -281,7 +281,7 @@ def _of_wire(carried: WireFindings, warnings: list[str]) -> Findings:
 
 
 def _read(given: str | Path | Table) -> Table:
-    return windows.bounded(given if isinstance(given, Table) else table.read(given))
+    return windows.bounded(given) if isinstance(given, Table) else windows.read(given)
 
 
 def _filtered(given: Table, lowpass: float | None) -> Table:

@@ -145,10 +145,19 @@ def predicted(model: ForwardModel, q: Array, trial: Recording) -> Array:
     return np.asarray(model.predict(q[:, None], trial)[0])
 
 
-def jacobian(model: ForwardModel, q: Array, trial: Recording, free: Sequence[int]) -> tuple[Array, Array]:
-    """Return the predicted data at `q` and their derivatives by the coordinates `free`, shape (data, free)."""
-    sets = np.repeat(q[:, None], len(free) + 1, axis=1)
-    step = model.constants.step[list(free)]
-    sets[list(free), np.arange(1, len(free) + 1)] += step
-    data = model.predict(sets, trial)
-    return data[0], np.ascontiguousarray(((data[1:] - data[0]) / step[:, None]).T)
+def jacobian(model: ForwardModel, q: Array, trial: Recording, free: Sequence[int], most: int = 400_000
+             ) -> tuple[Array, Array]:
+    """Return the predicted data at `q` and their derivatives by the coordinates `free`, shape (data, free).
+
+    `most`: samples of all sets that are simulated at once, which bounds the memory; 3.2 MB for each signal.
+    """
+    # the first set of each batch is `q`, from whose step the solver starts the others: results do not depend on `most`
+    count, parts = max(8, most // trial.time_s.size), []
+    for at in range(0, len(free), count):
+        part = list(free[at:at + count])
+        sets = np.repeat(q[:, None], len(part) + 1, axis=1)
+        step = model.constants.step[part]
+        sets[part, np.arange(1, len(part) + 1)] += step
+        data = model.predict(sets, trial)
+        parts.append((data[1:] - data[0]) / step[:, None])
+    return data[0], np.ascontiguousarray(np.concatenate(parts).T)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from estimation import likelihood_data, outputs
-from estimation.data import integrity, scales, table, windows
+from estimation.data import integrity, scales, windows
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel
 from estimation.likelihood_data import GRID_S, SIGNALS, TAUT_N, PathRecording
@@ -185,7 +185,7 @@ def usable_table(path: Path, force_path: str | None, remedy: str, motion: Sequen
 
     Raises `InputError` for contradictory data, and with the `remedy` if a needed column is missing.
     """
-    given = windows.bounded(table.read(path, force_path))
+    given = windows.read(path, force_path)
     refused = [f.text for f in (*integrity.examine(given), *scales.contradictions(given)) if f.refuses]
     if refused:
         raise InputError(f"{path}: {refused[0]}")

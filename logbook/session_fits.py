@@ -61,7 +61,7 @@ def _make_reference(book: Logbook, wanted: tuple[int, ...], after: int | None) -
         try:
             recordings.append(_entered(book, number, recordings[0].outputs if recordings else None))
         except InputError as error:
-            book.enter_remark(number, str(error))
+            _remark(book, number, error)
             return
     made = fit_reference(PATH_MODEL, recordings, close=0.1 * CLOSE)
     book.enter_reference(CONSTANTS, wanted, encoded(made), after)
@@ -78,10 +78,16 @@ def _fit(book: Logbook, kept: ReferenceModel, waiting: list[int]) -> None:
         try:
             recording = _entered(book, number, fit.outputs)
         except InputError as error:
-            book.enter_remark(number, str(error))
+            _remark(book, number, error)
             continue
         if not book.enter_sums(number, kept.id, session_sums(fit, columns, [recording])):
             return
+
+
+def _remark(book: Logbook, number: int, error: InputError) -> None:
+    """Enter why a trial cannot be fitted, without its path, which the logbook has."""
+    path = book.place(book.trials(1, trial=number)[0].path)
+    book.enter_remark(number, str(error).removeprefix(f"{path}: "))
 
 
 def _entered(book: Logbook, number: int, outputs: tuple[str, ...] | None) -> Recording:

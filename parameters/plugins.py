@@ -75,7 +75,8 @@ def _from_file(what: str, name: str, path: Path, attribute: str) -> Any:
         return reduce(getattr, attribute.strip().split("."), sys.modules[label])
     except (Exception, SystemExit) as error:
         sys.modules.pop(label, None)
-        raise InputError(f"{what} {name!r} cannot be imported ({type(error).__name__}: {error}); mend {path}, or give "
+        raise InputError(f"{what} {name!r} cannot be imported ({type(error).__name__}: "
+                         f"{str(error).replace(label, path.name)}); mend {path}, or give "
                          "the name of a callable in it.") from None
 
 

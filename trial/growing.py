@@ -35,7 +35,7 @@ class GrowingTrial:
         self._schemas: dict[int, tuple[str, str, str]] = {}
         self._channel: int | None = None
 
-    def rows(self, most: int = 65_536) -> NDArray[np.float64]:
+    def rows(self, most: int = 8_192) -> NDArray[np.float64]:
         """Return rows that have come since the last call, shape (rows, columns); none before the file is there.
 
         `most`: number of rows after which the others are left to the next call.

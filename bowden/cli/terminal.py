@@ -76,8 +76,10 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
     from rich.text import Text
 
     drawn = Table()
+    words = [word for cell in (header[0], *(row[0] for row in rows)) for word in cell.split()]
+    narrowest = min(max(map(len, words), default=1), WIDTH // 2)  # no name of the first column is cut in two
     for i, name in enumerate(header):
-        drawn.add_column(name, justify="left" if i == 0 else "right", overflow="fold")
+        drawn.add_column(name, justify="left" if i == 0 else "right", overflow="fold", min_width=narrowest if i == 0 else None)
     for row in rows:
         drawn.add_row(*(Text(cell) for cell in row))  # [g] in a name is no markup
     console = Console()
@@ -98,6 +100,11 @@ def sentence(text: str, indent: str = "") -> None:
 def remark(text: str) -> None:
     """Print one line on stderr."""
     print(f"bowden: {text}", file=sys.stderr, flush=True)
+
+
+def size(count: int) -> str:
+    """Format the size of a file, bytes."""
+    return f"{count / 1e6:.1f} MB" if count >= 1e6 else f"{count / 1e3:.0f} kB"
 
 
 def number(value: float | None, digits: int = 2) -> str:

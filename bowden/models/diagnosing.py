@@ -110,7 +110,7 @@ class DiagnosisResult:
                                self._model)
 
     def __repr__(self) -> str:
-        return f"DiagnosisResult({self.verdict}: {', '.join(cause['effect'] for cause in self.causes) or 'no cause'})"
+        return f"DiagnosisResult({self.verdict}: {', '.join(words(c['effect']) for c in self.causes) or 'no cause'})"
 
     def _repr_html_(self) -> str:
         """Return a table for a notebook: verdict, causes with their parameters, ambiguity set, warnings."""
@@ -174,9 +174,9 @@ def several(given: Given | Iterable[Given]) -> list[Given]:
 
 def table_of(given: Given, path: str | None) -> Table:
     """Return the columns of a trial, of a long one in windows; `path`: the force path of a trial of several."""
-    from estimation.data import table, windows
+    from estimation.data import windows
 
-    return windows.bounded(table.read(given.path if isinstance(given, Trial) else given, path))
+    return windows.read(given.path if isinstance(given, Trial) else given, path)
 
 
 def discover(trials: Given | Iterable[Given], healthy: Given | Iterable[Given], *, lowpass_hz: float | None = None,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
-from estimation.data import table
+from estimation.data import table, windows
 from estimation.linear_sums import session_sums
 from logbook.bench_state import (
     CONSTANTS,
@@ -69,9 +69,9 @@ def entered(folder: Path, path: Path, session: str, figures: Mapping[str, Any]) 
 
 
 def label(given: str | None, chosen: BusSettings) -> str:
-    """Return the session of a trial that was just recorded: a simulated bench's is its day."""
+    """Return the session of a trial that is about to be recorded: a simulated bench's is its day."""
     if given is not None and given.strip():
-        return given.strip()
+        return _checked(given, "--label")
     if chosen.simulated:
         return f"day {chosen.arguments['day']}"
     return datetime.date.today().isoformat()
@@ -182,13 +182,29 @@ def _label(path: Path, session: str | None, described: NewTrial) -> str:
     if session is not None:
         if not session.strip():
             raise InputError("--session: expected a label, such as a date; leave it out for the recording's own date.")
-        return session.strip()
+        return _checked(session)
     if "day" in described.conditions:
         return f"day {described.conditions['day']}"
     if "date" in described.conditions:
         return described.conditions["date"][:10]
     raise InputError(f"{path}: holds no date of its recording; name its session with --session, such as a date: "
                      "--session 2026-03-02.")
+
+
+def _checked(label: str, option: str = "--session") -> str:
+    """Return a label; raises `InputError` for digits that look like a date and are none, and for a date to come."""
+    label = label.strip()
+    if not re.match(r"\d{4}-\d\d?-\d\d?(?!\d)", label):
+        return label
+    try:
+        date = datetime.datetime.fromisoformat(label).date()
+    except ValueError:
+        raise InputError(f"{option} {label}: is no date of the calendar; write year, month and day as 2026-03-02, or "
+                         "a label that does not begin like a date.") from None
+    today = datetime.date.today()
+    if date > today + datetime.timedelta(days=1):  # a bench in another time zone can be a day ahead
+        raise InputError(f"{option} {label}: is in the future, today is {today}; give the date of the recording.")
+    return label
 
 
 def _place(label: str, path: Path, described: NewTrial) -> float | None:
@@ -244,7 +260,7 @@ def _diagnosed(book: Logbook, state: BenchState) -> Cause:
     from diagnosis.report.headline import headline
 
     given = trials_of(book, state.alarms[0], state.sessions, state.notes)
-    before, since = ([table.read(book.place(trial.path), book.path or None) for trial in trials]
+    before, since = ([windows.read(book.place(trial.path), book.path or None) for trial in trials]
                      for trials in (given.references, given.trials))
     found = Finder(session_sd=state.scatter).examine(before).diagnose(since)
     named = found.verdict in ("found", "ambiguous")

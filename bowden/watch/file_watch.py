@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from diagnosis.evidence.decision import SET_SHARE, threshold
 from diagnosis.finder import Finder
 from diagnosis.findings import Findings
-from estimation.data import table
+from estimation.data import windows
 from estimation.data.table import Table
 from estimation.joint_fit import fit_reference
 from estimation.likelihood_data import SIGNALS, PathRecording
@@ -193,7 +193,7 @@ class FileWatch:
 
     def diagnosis(self) -> Findings:
         """Return the diagnosis of the whole file, as `bowden diagnose` gives it."""
-        references, watched = ([table.read(file, self._bench.path) for file in files]
+        references, watched = ([windows.read(file, self._bench.path) for file in files]
                                for files in (self._bench.healthy, [self._file.path]))
         return Finder(session_sd=self._bench.session_sd).examine(references).diagnose(watched)
 

@@ -61,7 +61,8 @@ def headline(found: Findings) -> Iterator[str]:
     elif found.verdict == "refused":
         yield f"{refused_because(found).rstrip('.')}: " + (
             found.warnings[0] if found.warnings else "no reason was given.")
-        yield "Mend the data and record again."
+        if "--healthy" not in "".join(found.warnings[:1]):
+            yield "Mend the data and record again."
     elif found.part == "wire":
         yield " ".join(_cause(cause) for cause in found.causes)
         yield from _set(found)

@@ -7,12 +7,13 @@ a table are ignored and named in `Table.notes`.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from parameters import InputError
@@ -36,6 +37,9 @@ NOMINAL: Final = "nominal"
 """Name of the packaged calibration in the metadata of a trial; it was measured on no bench."""
 DEGREE_ALIAS: Final = "knee_angle_deg"
 """Column that is read as `knee_angle_rad`, converted from degrees."""
+Rows = NDArray[np.intp]
+RowChoice = Callable[[Array], "Rows | None"]
+"""Function from time stamps, s, to the row numbers to read; None: all."""
 TURNING: Final[Mapping[str, tuple[str, str]]] = {
     "servo_position_rad": ("servo_position_m", "rad"), "servo_target_rad": ("servo_target_m", "rad"),
     "servo_velocity_rad_s": ("servo_velocity_m_s", "rad/s"), "servo_torque_nm": ("servo_force_n", "N·m"),
@@ -79,17 +83,18 @@ class Table:
         return self.columns[name]
 
 
-def read(path: str | Path, joint: str | None = None) -> Table:
+def read(path: str | Path, joint: str | None = None, choose: RowChoice | None = None) -> Table:
     """Read a trial (.mcap) or a table (CSV, .gz, Parquet, .mat, .mf4) with a subset of the canonical headers.
 
     `joint`: of a trial of several force paths, or a table whose columns are `<joint>.<header>`, the one to read.
+    `choose`: rows of a trial to read, from the time stamps of its numbered cycles; those before them are read, too.
     Raises `InputError` for a file that is absent, unreadable, ragged, without `time_s` or without any signal.  It does
     so, too, for a table of several joints if none of them is named.
     """
     path = Path(path)
     refuse_special(path)
     if path.suffix.lower() == ".mcap":
-        return _read_mcap(path, joint)
+        return _read_mcap(path, joint, choose)
     suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
     if not set(suffixes) & {*ENDINGS, ""} and suffixes:
         raise InputError(f"{path}: is neither a trial nor a table; say bowden import {path} -o trial.mcap first.")
@@ -160,7 +165,7 @@ def table(
     first = int(np.argmax(whole["cycle"] >= 0.0)) if inside is not whole else 0
     known, slow = _on_rows(inside)
     return Table(source, known, _digest(known), calibration, notes=(*notes, *slow), turning=bool(turning),
-                 volts="motor_voltage_v" in columns, before={n: v[:first] for n, v in whole.items()} if first else {})
+                 volts="motor_voltage_v" in columns, before={n: v[:first].copy() for n, v in whole.items()} if first else {})
 
 
 def _of_joint(source: str, columns: Mapping[str, Sequence[float] | Array], joints: tuple[str, ...],
@@ -222,12 +227,13 @@ def _digest(columns: Mapping[str, Array]) -> str:
     return digest.hexdigest()
 
 
-def _read_mcap(path: Path, joint: str | None) -> Table:
+def _read_mcap(path: Path, joint: str | None, choose: RowChoice | None) -> Table:
     trial: TrialFile = open_file(path)
     if joint is not None or path_names(trial):
         trial = one_path(trial, joint)
     words = [name for name in ("servo_statusword", "knee_statusword") if name in trial.units]
-    read = _columns(trial, [*(name for name in trial.units if name in UNITS or name.endswith(AGE_SUFFIX)), *words])
+    read = _columns(trial, [*(name for name in trial.units if name in UNITS or name.endswith(AGE_SUFFIX)), *words],
+                    None if choose is None else _chosen(trial, choose))
     columns = {name: values for name, values in read.items() if name not in words and not np.isnan(values).all()}
     if len(words) == 2 and np.isnan(read[words[1]]).all() and not np.isnan(read[words[0]]).all():
         columns.pop("knee_target_rad", None)  # a request to a person who moves the knee; no drive follows it
@@ -235,12 +241,29 @@ def _read_mcap(path: Path, joint: str | None) -> Table:
     return replace(made, experiment=trial.metadata.get("experiment", ""))
 
 
-def _columns(trial: TrialFile, names: Sequence[str]) -> dict[str, Array]:
-    """Return columns of a trial, read by block, since a long trial's other columns would fill the memory."""
+def _chosen(trial: TrialFile, choose: RowChoice) -> Rows | None:
+    """Return the rows before a trial's first numbered cycle, and those that `choose` takes of its cycles; None: all.
+    """
+    given = _columns(trial, [name for name in ("time_s", "cycle") if name in trial.units])
+    numbered = np.flatnonzero(given["cycle"] >= 0.0) if "cycle" in given else np.zeros(0, np.intp)
+    first, last = (numbered[0], numbered[-1] + 1) if numbered.size else (0, None)
+    rows = choose(given["time_s"][first:last]) if "time_s" in given else None
+    return None if rows is None else np.concatenate([np.arange(first), first + rows])
+
+
+def _columns(trial: TrialFile, names: Sequence[str], rows: Rows | None = None) -> dict[str, Array]:
+    """Return columns of a trial, of all rows or of the rising row numbers `rows`.
+
+    They are read by block, since a long trial's other columns would fill the memory.
+    """
     parts: dict[str, list[Array]] = {name: [] for name in names}
+    first = 0
     for block in trial.blocks(names):
+        last = first + block.time_ns.size
+        of = slice(None) if rows is None else rows[slice(*np.searchsorted(rows, (first, last)))] - first
         for name, values in block.columns.items():
-            parts[name].append(values.copy())
+            parts[name].append(values[of].copy())
+        first = last
     return {name: np.concatenate([np.zeros(0), *parts.pop(name)]) for name in names}
 
 

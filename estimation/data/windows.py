@@ -7,33 +7,77 @@ scatter between sessions do not average out.
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from estimation.data import table
 from estimation.data.table import Table
+from physics.laws import Array
+
+MOST_S: Final = 120.0
+"""Length of a trial, s, above which windows of it are used, which are that long together."""
+COUNT: Final = 12
+"""Number of windows, spread evenly over a trial."""
 
 
-def bounded(given: Table, most_s: float = 120.0, count: int = 12, seam_s: float = 1.0) -> Table:
-    """Return a trial; of one longer than `most_s`, `count` windows that are as long together, spread evenly over it.
+class _Windows(NamedTuple):
+    """Rows of all windows of a trial, the places among them at which a window but the first begins, and its length, s.
+    """
 
-    The time between two windows is cut to `seam_s`, a gap after which the friction states are unknown again.  A note
+    rows: NDArray[np.intp]
+    seams: NDArray[np.intp]
+    span_s: float
+
+
+def bounded(given: Table) -> Table:
+    """Return a trial; of one longer than `MOST_S`, `COUNT` windows that are as long together, spread evenly over it.
+
+    The time between two windows is cut to a second, a gap after which the friction states are unknown again.  A note
     says so.  A trial whose time stamps do not rise, or have fewer than 100 rows a window, is returned whole.
     """
-    time, length = given["time_s"], most_s / count
-    if given.seams or time.size < 100 * count or not time[-1] - time[0] > most_s:
+    found = None if given.seams else _windows(given["time_s"])
+    if found is None:
         return given
-    step = np.diff(time)
+    return _joined(replace(given, columns={name: values[found.rows] for name, values in given.columns.items()}), found)
+
+
+def read(path: str | Path, joint: str | None = None) -> Table:
+    """Return a trial as `table.read` does, `bounded`; the other rows of a long MCAP file are never in memory."""
+    chosen: list[_Windows] = []
+
+    def choose(time_s: Array) -> NDArray[np.intp] | None:
+        chosen.extend(filter(None, [_windows(time_s)]))
+        return chosen[0].rows if chosen else None
+
+    given = table.read(path, joint, choose)
+    return _joined(given, chosen[0]) if chosen else bounded(given)
+
+
+def _windows(time_s: Array) -> _Windows | None:
+    """Return the windows of a trial of these time stamps; None for a trial that is used whole."""
+    length = MOST_S / COUNT
+    if time_s.size < 100 * COUNT or not time_s[-1] - time_s[0] > MOST_S:
+        return None
+    step = np.diff(time_s)
     if not (step > 0.0).all() or np.median(step) > length / 100:
-        return given
-    span = float(time[-1] - time[0])
-    begins = np.linspace(0.0, span - length, count)
-    first = np.searchsorted(time, time[0] + begins)
-    last = np.searchsorted(time, time[0] + begins + length, side="right")
+        return None
+    span = float(time_s[-1] - time_s[0])
+    begins = np.linspace(0.0, span - length, COUNT)
+    first = np.searchsorted(time_s, time_s[0] + begins)
+    last = np.searchsorted(time_s, time_s[0] + begins + length, side="right")
     rows = np.concatenate([np.arange(a, b) for a, b in zip(first, last, strict=True) if b > a])
-    kept = {name: values[rows] for name, values in given.columns.items()}
-    seams = np.flatnonzero(np.diff(rows) > 1) + 1
-    for row in seams:
-        kept["time_s"][row:] -= kept["time_s"][row] - kept["time_s"][row - 1] - seam_s
-    note = (f"{given.source}: of its {span:.0f} s, {count} windows of {length:.0f} s, spread evenly, were used; times "
-            "count these alone.")
-    return replace(given, columns=kept, notes=(*given.notes, note), seams=tuple(seams.tolist()))
+    return _Windows(rows, np.flatnonzero(np.diff(rows) > 1) + 1, span)
+
+
+def _joined(given: Table, found: _Windows, seam_s: float = 1.0) -> Table:
+    """Return a trial of the rows of its windows alone, the time between two of them cut to `seam_s`."""
+    time = given["time_s"].copy()
+    for row in found.seams:
+        time[row:] -= time[row] - time[row - 1] - seam_s
+    note = (f"{given.source}: of its {found.span_s:.0f} s, {COUNT} windows of {MOST_S / COUNT:.0f} s, spread evenly, "
+            "were used; times count these alone.")
+    return replace(given, columns={**given.columns, "time_s": time}, notes=(*given.notes, note),
+                   seams=tuple(found.seams.tolist()))

@@ -148,7 +148,7 @@ def test_lab_data_without_what_a_fit_needs_are_kept_with_the_reason(here: Path, 
     Path("lab.csv").write_text(LAB, encoding="utf-8")
     added = told(bowden, "logbook", "add", "book", "lab.csv", "--session", "monday")["added"][0]
     assert not added["estimated"]
-    assert "has no column servo_position_m" in added["remark"]
+    assert added["remark"].startswith("has no column servo_position_m"), "the path stands beside it"
 
 
 ENTER = """
@@ -381,6 +381,9 @@ def test_the_page_tells_the_alarm_first(accuracy: Accuracy, here: Path, browser:
     (("logbook", "show", "book", "--trial", "7"), "is not in the logbook"),
     (("logbook", "export", "book", "--table", "moon", "-o", "x.csv"), "--table moon"),
     (("logbook", "init", "other", "--references", "1"), "--references 1"),
+    (("logbook", "add", "book", "lab.csv", "--session", "2026-13-45"), "is no date of the calendar"),
+    (("logbook", "add", "book", "lab.csv", "--session", "9999-01-01"), "is in the future"),
+    (("trial", "--logbook", "book", "--label", "2026-13-45", "-o", "x.mcap"), "is no date of the calendar"),
     (("trial", "--logbook", "none", "-o", "x.mcap"), "holds no logbook"),
     (("fit", "x.mcap", "--logbook", "none", "-o", "x.toml"), "holds no logbook"),
     (("identify", "swing", "--logbook", "none", "-o", "x.toml"), "holds no logbook"),
@@ -388,6 +391,7 @@ def test_the_page_tells_the_alarm_first(accuracy: Accuracy, here: Path, browser:
 ], ids=lambda given: " ".join(given) if isinstance(given, tuple) else "")
 def test_bad_input_is_one_sentence(here: Path, bowden: Callable[..., Any], words: tuple[str, ...], said: str) -> None:
     assert bowden("logbook", "init", "book").status == 0
+    Path("lab.csv").write_text(LAB, encoding="utf-8")
     before = sorted(here.iterdir())
     status, out, err = bowden(*words)
     assert (status, out, err.count("\n")) == (2, "", 1)

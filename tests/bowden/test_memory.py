@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.performance import MEMORY, used
+from benchmarks.performance import BOUNDED, HEALTHY, MEMORY, used
 
 INDEX_MB = 16.0
 """A trial of 240 s has 4,200 chunks more than one of 30 s; their index takes 1.4 kB each in the readers, and a Parquet
@@ -18,3 +18,14 @@ def test_peak_memory_does_not_grow_with_the_trial(tmp_path: Path) -> None:
     for name, line in MEMORY.items():
         short, long = (used(line, at=tmp_path / str(cycles), cycles=cycles)[1] for cycles in (15, 120))
         assert long < short + INDEX_MB, f"{name}: {short:.0f} MB for 30 s, {long:.0f} MB for 240 s"
+
+
+@pytest.mark.exhaustive
+def test_a_trial_that_is_fitted_by_windows_takes_no_more_memory_for_being_long(tmp_path: Path) -> None:
+    healthy = tmp_path / "healthy"
+    used(HEALTHY, healthy=healthy)
+    for cycles in (120, 240):
+        used(MEMORY["bowden trial"], at=tmp_path / str(cycles), cycles=cycles)
+    for name, line in BOUNDED.items():
+        short, long = (used(line, at=tmp_path / str(cycles), healthy=healthy)[1] for cycles in (120, 240))
+        assert long < short + INDEX_MB, f"{name}: {short:.0f} MB for 240 s, {long:.0f} MB for 480 s"

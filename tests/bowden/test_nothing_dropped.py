@@ -81,3 +81,18 @@ def test_names_of_forces_are_known(here: Path, bowden: Command, header: str, sig
     assert bowden("import", "lab.csv", "--guess", "-o", "map.toml")[0] == 0
     guessed = tomllib.loads((here / "map.toml").read_text())
     assert {row["column"]: name for name, row in guessed.items() if name != "time_s"} == signals
+
+
+def test_marks_between_thousands_are_read_and_a_date_that_stands_is_no_clock(here: Path, bowden: Command) -> None:
+    def german(value: float) -> str:
+        return f"{value:,.3f}".translate(str.maketrans(",.", ".,"))
+
+    rows = [f"02.03.2026 10:00:00\t{german(1e3 * t)}\t{german(9e5 + 1e3 * t)}\tgut" for t in TIME]
+    (here / "lab.txt").write_text("\n".join(["Datum\tZeit (ms)\tKraft vorn (mN)\tUrteil", *rows]))
+    status, out, _ = bowden("import", "lab.txt", "--guess", "-o", "map.toml")
+    assert (status, "marks between thousands" in " ".join(out.split())) == (0, True), out
+    assert "'Urteil': row 2 has no number: 'gut'" in out
+    guessed = tomllib.loads((here / "map.toml").read_text())
+    assert [guessed[name]["column"] for name in ("time_s", "tension_start_n")] == ["Zeit (ms)", "Kraft vorn (mN)"]
+    assert bowden("import", "lab.txt", "--map", "map.toml", "-o", "lab.mcap")[0] == 0
+    assert trial.open(here / "lab.mcap").columns["tension_start_n"][-1] == pytest.approx(900.0 + TIME[-1])

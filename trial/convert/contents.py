@@ -215,8 +215,10 @@ def _log(path: Path, frames: LoggedFrames) -> Contents:
         found.streams.append(_stream(f"channel {name}", "frames", ours["time_ns"]))
         known = _known_ids()
         for can_id in np.unique(ours["can_id"]).tolist():
-            found.streams.append(_stream(f"  {can_id:03X}h", known.get(can_id, ""),
-                                         ours["time_ns"][ours["can_id"] == can_id]))
+            kind = known.get(can_id, "")
+            stream = _stream(f"  {can_id:03X}h", kind, ours["time_ns"][ours["can_id"] == can_id])
+            requested = kind.startswith(("SDO", "NMT", "EMCY", "controlwords"))  # sent as they are needed, at no rate
+            found.streams.append(stream._replace(rate_hz=None, gaps=None) if requested else stream)
     return found
 
 
@@ -260,4 +262,4 @@ def _clock(sheet: LabTable, found: Contents) -> None:
     begins = sheet.begins_ns.get(guess.column, -1)
     found.begins_ns = begins if begins >= 0 else round(known[0] * 1e9) if known[0] > 1e8 else None
     if (np.diff(known) <= 0).any():
-        found.remarks.append(f"{int(np.count_nonzero(np.diff(known) <= 0))} times of {guess.column} stand or fall")
+        found.remarks.append(f"{int(np.count_nonzero(np.diff(known) <= 0))} times of {guess.column} do not rise")

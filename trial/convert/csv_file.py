@@ -310,6 +310,7 @@ class _Columns(NamedTuple):
     values: list[Floats]
     faults: dict[int, tuple[int, str]]  # by column: place in the rows, and the cell
     begins_ns: dict[int, int]
+    grouped: bool = False  # a number has marks between its thousands
 
 
 def _numbers(reading: _Reading, names: Sequence[str], body: Sequence[_Line]) -> _Columns:
@@ -330,7 +331,10 @@ def _numbers(reading: _Reading, names: Sequence[str], body: Sequence[_Line]) -> 
     except ValueError:
         pass  # a wrong or quoted cell, a word for an unknown value, or a time: cell by cell then
     rows = _rows(reading, len(names), body)
-    return _by_column([list(cells) for cells in zip(*rows, strict=True)], comma)
+    found = _by_column([list(cells) for cells in zip(*rows, strict=True)], comma)
+    if found.grouped:
+        reading.remarks.append("marks between thousands")
+    return found
 
 
 def _filled(text: str, delimiter: str) -> str:
@@ -360,9 +364,12 @@ def _rows(reading: _Reading, width: int, body: Sequence[_Line]) -> Iterable[list
 
 
 def _by_column(columns: Sequence[Sequence[str]], comma: bool) -> _Columns:
-    found = _Columns([], {}, {})
+    found, grouped = _Columns([], {}, {}), False
     for place, cells in enumerate(columns):
         values, fault = _parsed(cells, comma)
+        if fault is not None and _THOUSANDS.match(fault[1]):
+            grouped = True
+            values, fault = _parsed([_THOUSANDS.sub(_ungrouped, cell) for cell in cells], comma)
         if fault is not None:
             first = next((cell for cell in cells if cell.strip().lower() not in UNKNOWN), "")
             timed = time_column(cells, UNKNOWN) if is_time(first) else None
@@ -372,7 +379,15 @@ def _by_column(columns: Sequence[Sequence[str]], comma: bool) -> _Columns:
             else:
                 found.faults[place] = fault
         found.values.append(values)
-    return found
+    return found._replace(grouped=grouped)
+
+
+_THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}([.,])\d{3}(?:\1\d{3})*(?!\1)[.,]\d+\s*$")
+"""Number with marks between its thousands and another decimal mark: 1.234,5 or 1,234.5."""
+
+
+def _ungrouped(number: re.Match[str]) -> str:
+    return number[0].replace(number[1], "")
 
 
 def _parsed(cells: Sequence[str], comma: bool) -> tuple[Floats, tuple[int, str] | None]:

@@ -259,7 +259,7 @@ def unassigned(sheet: LabTable, found: Sequence[Guess]) -> list[Unassigned]:
         fits = [] if name in sheet.faults else [
             signal.name for signal in MOTION_AND_FORCE if _guess(sheet, name, signal.name, signal.unit) is not None]
         if name in sheet.faults:
-            why = "no numbers"
+            why = "row {} has no number: {!r}".format(*sheet.faults[name])
         elif stated and not unit_of(stated):
             why = f"its unit {stated!r} is not known: give a unit that is, and scale"
         elif fits:
@@ -298,7 +298,8 @@ def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
         return None
     values = sheet.column(name)
     known = values[np.isfinite(values)]
-    if not len(known) or (signal == "time_s" and (np.diff(known) < 0).sum() > 0.01 * len(known)):
+    steps = np.diff(known)
+    if not len(known) or (signal == "time_s" and ((steps < 0).sum() > 0.01 * len(known) or not (steps > 0).any())):
         return None
     score = 10.0 * (name == signal) + 2 * met + 0.5 * _met(words, wanted.likes) + bool(unit) - 0.1 * len(words)
     chosen, scale, why = _unit(signal, si, unit, known)

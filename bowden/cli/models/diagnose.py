@@ -213,7 +213,7 @@ def _tell(found: Findings, result: dict[str, Any]) -> None:
         terminal.table("constants of the rig, named or not", ("constant", "reference", "here", "95 %", "unit"), [
             (name, f"{one['from']:.4g}", f"{one['to']:.4g}", f"{one['low']:.4g} … {one['high']:.4g}", one["unit"])
             for name, one in shifts.items()])
-    for warning in found.warnings:
+    for warning in found.warnings[found.verdict == "refused" and not found.candidates:]:  # the headline has the reason
         terminal.sentence(f"Warning: {warning}")
 
 

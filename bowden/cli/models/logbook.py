@@ -127,7 +127,7 @@ def report_bench(folder: Folder, output: options.Page, limit: Limits = None) -> 
         with terminal.waiting("diagnosing a change"):
             state = diagnosed_state(book, _limits(limit))
         size = bench_page.write(book, state, output)
-    return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {size / 1e6:.1f} MB.")
+    return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {terminal.size(size)}.")
 
 
 @logbook.command("export")

@@ -168,4 +168,4 @@ def report(
     with terminal.waiting(f"reading {trial}"):
         recorded = force_paths.opened(trial, path, whole=True)
     size = figures.write_trial_page(recorded, output, overwrite=overwrite, progress=terminal.TERMINAL)
-    return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {size / 1e6:.1f} MB.")
+    return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {terminal.size(size)}.")

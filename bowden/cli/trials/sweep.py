@@ -99,7 +99,8 @@ def _tell_cells(cells: Sequence[Mapping[str, Any]]) -> None:
     print(f"By cell of the grid, medians of: {'; '.join(FIGURES[name] for name in told)}" if told
           else "By cell of the grid")
     for cell in cells[:MOST_CELLS]:
-        where = ", ".join(f"{name.partition('.')[2]} = {value}" for name, value in cell["cell"].items())
+        where = ", ".join(f"{name.partition('.')[2]} = {value}" for name, value in cell["cell"].items()
+                          if value != "")
         figures = "".join(f", {terminal.number(cell['median'].get(name))}" for name in told)
         print(f"  {where}: {cell['completed']} of {cell['trials']} completed{figures}")
         for reason, count in cell["stopped"].items():

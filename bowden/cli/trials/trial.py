@@ -56,6 +56,10 @@ def trial(
     desired = session.desired_file(desired)
     bench = watched.bench(entered)
     chosen = reached.chosen(simulated)
+    if entered is not None:
+        from bowden.models import logbook_entries
+
+        label = logbook_entries.label(label, chosen)
     if motion_of is not None:
         prepared = repeated_motion.prepared(motion_of, sections, chosen)
     else:
@@ -66,12 +70,10 @@ def trial(
             settle_given=walk.settle is not None, knee=knee, desired=desired, dry_run=dry_run,
             controller_model=controller_model, script=experiment, progress=terminal.TERMINAL)
     result = _performed(prepared, sections["network"], output, picture, web, bench, chosen, overwrite=overwrite)
-    if entered is not None and result["trial"] is not None:
-        from bowden.models import logbook_entries
-
+    if entered is not None and label is not None and result["trial"] is not None:
         with terminal.waiting("entering the trial in the logbook"):
             result["logbook"] = logbook_entries.entered(
-                entered, Path(result["trial"]), logbook_entries.label(label, chosen), result)
+                entered, Path(result["trial"]), label, result)
 
     def words() -> None:
         if result["trial"] is None:
@@ -84,7 +86,9 @@ def trial(
         _show(result, Path(result["trial"]), picture, chosen.told, dry_run=dry_run,
               with_end=sections["network"].bench.measures_end)
         if "logbook" in result:
-            print(f"Logbook: {entered}, trial {result['logbook']['trial']}, session {result['logbook']['session']}")
+            kept = result["logbook"]
+            print(f"Logbook: {entered}, trial {kept['trial']}, session {kept['session']}"
+                  + ("" if kept["fitted"] else f"; not fitted: {kept['remark']}"))
 
     return CommandAnswer(result, words, ending.status_of(result["outcome"], result["stop_reason"]))
 
