@@ -79,7 +79,8 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
     words = [word for cell in (header[0], *(row[0] for row in rows)) for word in cell.split()]
     narrowest = min(max(map(len, words), default=1), WIDTH // 2)  # no name of the first column is cut in two
     for i, name in enumerate(header):
-        drawn.add_column(name, justify="left" if i == 0 else "right", overflow="fold", min_width=narrowest if i == 0 else None)
+        drawn.add_column(name, justify="left" if i == 0 else "right", overflow="fold",
+                         min_width=narrowest if i == 0 else None)
     for row in rows:
         drawn.add_row(*(Text(cell) for cell in row))  # [g] in a name is no markup
     console = Console()

@@ -165,7 +165,8 @@ def table(
     first = int(np.argmax(whole["cycle"] >= 0.0)) if inside is not whole else 0
     known, slow = _on_rows(inside)
     return Table(source, known, _digest(known), calibration, notes=(*notes, *slow), turning=bool(turning),
-                 volts="motor_voltage_v" in columns, before={n: v[:first].copy() for n, v in whole.items()} if first else {})
+                 volts="motor_voltage_v" in columns,
+                 before={n: v[:first].copy() for n, v in whole.items()} if first else {})
 
 
 def _of_joint(source: str, columns: Mapping[str, Sequence[float] | Array], joints: tuple[str, ...],

@@ -29,7 +29,8 @@ SPELT: Final = {"start": "START", "end": "END", "pdo": "PDO", "stribeck": "Strib
 """Parts of the names of effects, constants and other columns that are not written in small letters or as one word."""
 UNITS: Final = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "rad": ("°", 180.0 / math.pi),
                 "rad/s": ("°/s", 180.0 / math.pi), "m/N": ("mm/N", 1e3),
-               **{f"m/rad{power}": (f"mm/rad{power}", 1e3) for power in ("", "²", "³")}, "ns": ("µs", 1e-3), "1": ("", 1.0)}
+               **{f"m/rad{power}": (f"mm/rad{power}", 1e3) for power in ("", "²", "³")},
+               "ns": ("µs", 1e-3), "1": ("", 1.0)}
 """Unit shown and factor to it, by SI unit; others are shown as they are."""
 SMALLER: Final = {"mm": ("µm", 1e3), "mm/N": ("µm/N", 1e3), "N": ("mN", 1e3), "s": ("ms", 1e3)}
 SMALL: Final = 0.1
