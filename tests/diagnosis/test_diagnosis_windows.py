@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import bowden
 from estimation.data import integrity, table, windows
@@ -26,12 +25,10 @@ def test_a_long_trial_is_windows_spread_over_it_without_gaps_that_are_not_its_ow
     assert "of its 3600 s, 12 windows of 10 s" in used.notes[-1]
 
 
-def test_a_long_file_is_read_by_its_windows_as_it_is_from_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-                                                                 ) -> None:
+def test_a_long_file_is_read_by_its_windows_as_it_is_from_memory(tmp_path: Path) -> None:
     path = tmp_path / "trial.mcap"
     bowden.run(bowden.Experiment(cycles=6, settle=0), output=path)
-    monkeypatch.setattr(windows, "MOST_S", 4.8)
-    from_file, from_memory = windows.read(path), windows.bounded(table.read(path))
+    from_file, from_memory = windows.read(path, most_s=4.8), windows.bounded(table.read(path), most_s=4.8)
     assert len(from_file.seams) == 11
     assert from_file.seams == from_memory.seams
     assert from_file.notes == from_memory.notes
