@@ -145,14 +145,14 @@ def predicted(model: ForwardModel, q: Array, trial: Recording) -> Array:
     return np.asarray(model.predict(q[:, None], trial)[0])
 
 
-def jacobian(model: ForwardModel, q: Array, trial: Recording, free: Sequence[int], most: int = 400_000
+def jacobian(model: ForwardModel, q: Array, trial: Recording, free: Sequence[int], most: int = 250_000
              ) -> tuple[Array, Array]:
     """Return the predicted data at `q` and their derivatives by the coordinates `free`, shape (data, free).
 
-    `most`: samples of all sets that are simulated at once, which bounds the memory; 3.2 MB for each signal.
+    `most`: data of all sets that are simulated at once, which bounds the memory to some ten times their 2 MB.
     """
     # the first set of each batch is `q`, from whose step the solver starts the others: results do not depend on `most`
-    count, parts = max(8, most // trial.time_s.size), []
+    count, parts = max(8, most // trial.data.size), []
     for at in range(0, len(free), count):
         part = list(free[at:at + count])
         sets = np.repeat(q[:, None], len(part) + 1, axis=1)

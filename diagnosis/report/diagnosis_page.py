@@ -128,7 +128,7 @@ def _summary(page: Page, found: Findings) -> None:
         page.text(left)
     if found.causes:
         page.tiles([Tile(words(c["effect"]), "", c["site"],
-                         f"reduces by {number(c['gain_percent'], 3)} % the residual that it reduces most")
+                         f"reduces by {number(round(c['gain_percent'], 1), 3)} % the residual that it reduces most")
                     for c in found.causes])
         page.table(("cause", "value", "law", "how it shows"), [
             (NamedText(words(c["effect"]), c["effect"]), f"{words(name)} = {interval(one)}",

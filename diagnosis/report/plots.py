@@ -50,7 +50,9 @@ def measured(
         " The first trial is drawn; the figures are of all." if many else ""), "note")
     for name, (first, *_) in parts_of.items():
         whole = np.ones(first.measured.size, dtype=np.bool_)
-        _drawn(page, f"{words(name)}, simulated {MEANING.get(name, 'from the others')}", first, whole, linked, named)
+        loaded = name != "servo_force_n" or np.isfinite(first.along("tension_start_n")).any()
+        meaning = MEANING.get(name, "from the others") if loaded else "from motion"
+        _drawn(page, f"{words(name)}, simulated {meaning}", first, whole, linked, named)
         _drawn(page, f"{words(name)}: the cycle with the largest error", first, _worst(first),
                f"{linked}, one cycle of {name}", named)
 

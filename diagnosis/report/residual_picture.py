@@ -44,7 +44,7 @@ class MeanResidual(NamedTuple):
 class ForceLoop(NamedTuple):
     """One branch of START over END of the mean gait cycle, with rising or falling tension, N.
 
-    `measured`, and simulated `before` and `after`: START at the END values `end_n`.
+    `measured`, and simulated `before` and `after`: START at the END values `end_n`, simulated START over simulated END.
     """
 
     direction: str
@@ -101,10 +101,19 @@ def loop_plot(found: Findings, turning: bool = False) -> Plot | None:
     shown, factor = display_unit("N" if over == "tension_end_n" else "rad" if turning else "m")
     across, up = ("position" if turning else words(over)), words(name)
     sides = (("measured", MEASURED, 4.5), (REFERENCE, BEFORE, 1.8), (SESSION, ADAPTED, 1.8), (NAMED, AFTER, 1.8))
-    series = [Series(label, line, colour, width=width) for (label, colour, width), line in zip(
-        sides if found.causes else sides[:3], lines, strict=False)]
+    ends = _ends(found.traces, parts)
+    along = _cycle(ends, over)[1:] if over == "tension_end_n" and ends else [x] * len(lines)
+    series = [Series(label, line, colour, width=width, x=factor * own) for (label, colour, width), line, own in zip(
+        sides if found.causes else sides[:3], lines, along, strict=False)]
     return Plot(f"{up} over {across}", factor * x, series, f"{across} ({shown})", f"{up} ({parts[0].unit})",
                 height=440, loop=True)
+
+
+def _ends(sides: Mapping[str, Sequence[SignalResiduals]], parts: Sequence[SignalResiduals]
+          ) -> Sequence[SignalResiduals]:
+    """Return END of the trials whose START is `parts`; none if END was not compared on the same samples."""
+    ends = sides.get("tension_end_n", ())
+    return ends if [p.measured.size for p in ends] == [p.measured.size for p in parts] else ()
 
 
 def _walks(parts: Sequence[SignalResiduals]) -> bool:
@@ -116,10 +125,14 @@ def _walks(parts: Sequence[SignalResiduals]) -> bool:
 def _cycle(parts: Sequence[SignalResiduals], over: str) -> list[Array]:
     """Return a signal, and the measured output and the three simulated ones along it, in the order of time.
 
-    They are means over the gait phase, closed; without a gait, the first 1,500 samples of the first trial.
+    They are means over the gait phase, closed; without a gait, the first two loops of the first trial, by its passages
+    of the middle of its range, and 1,500 samples at most.
     """
     if not _walks(parts):
-        first, end = parts[0], min(1500, parts[0].measured.size)
+        first = parts[0]
+        x = first.along(over)[:1500]
+        passed = np.flatnonzero(np.diff(x > 0.5 * (np.nanmin(x) + np.nanmax(x)))) if np.isfinite(x).any() else x[:0]
+        end = x.size if passed.size < 5 else int(passed[4]) + 2
         return [values[:end] for values in (first.along(over), *_lines(first))]
     phase, x = (np.concatenate([p.along(name) for p in parts]) for name in ("gait_percent", over))
     lines = map(np.concatenate, zip(*map(_lines, parts), strict=True))
@@ -167,19 +180,24 @@ def loops(sides: Mapping[str, Sequence[SignalResiduals]]) -> list[ForceLoop]:
     if not parts:
         return []
     phase, end = (np.concatenate([p.along(name) for p in parts]) for name in ("gait_percent", "tension_end_n"))
-    measured = np.concatenate([p.measured for p in parts])
-    before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in ("before", "after"))
     if not (np.isfinite(phase).all() and np.isfinite(end).all()) or float(np.ptp(end)) <= 0.0:
         return []
     bins = bins_of(phase.size, 200)
     place = np.clip((phase / 100.0 * bins).astype(np.intp), 0, bins - 1)
     count = np.bincount(place, minlength=bins)
     full = count > 0
-    mean_end, *lines = (np.bincount(place, values, bins)[full] / count[full]
-                        for values in (end, measured, measured - before, measured - after))
+
+    def means(of: Sequence[SignalResiduals]) -> list[Array]:
+        measured, before, _, after = map(np.concatenate, zip(*map(_lines, of), strict=True))
+        return [np.bincount(place, values, bins)[full] / count[full] for values in (measured, before, after)]
+
+    starts, mean_end = means(parts), np.bincount(place, end, bins)[full] / count[full]
+    ends = means(compared) if (compared := _ends(sides, parts)) else [mean_end] * len(starts)
     grid = np.linspace(float(mean_end.min()), float(mean_end.max()), 120)
-    return [ForceLoop(direction, grid, *(_along(grid, mean_end[branch], line[branch]) for line in lines))
-            for direction, branch in _branches(mean_end) if branch.size > 2]
+    branches = [dict(_branches(own)) for own in ends]
+    return [ForceLoop(direction, grid, *(_along(grid, own[branch[direction]], line[branch[direction]])
+                                         for own, line, branch in zip(ends, starts, branches, strict=True)))
+            for direction, rows in branches[0].items() if rows.size > 2]
 
 
 def _branches(end: Array) -> list[tuple[str, NDArray[np.intp]]]:

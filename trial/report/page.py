@@ -248,7 +248,7 @@ def number(value: float | None, digits: int = 4) -> str:
     """Return a number with `digits` significant digits, the minus typographic; a dash where it is unknown."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
-    if 1.0 <= abs(value) < 1e6:  # never 1.2e+03
+    if 1e-6 <= abs(value) < 1e6:  # neither 1.2e+03 nor 2.7e-05
         places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
         text = f"{value:.{places}f}"
         return (text.rstrip("0").rstrip(".") if "." in text else text).replace("-", "−")

@@ -15,6 +15,7 @@ from parameters import InputError
 
 if TYPE_CHECKING:
     from logbook.bench_state import BenchState
+    from logbook.database import TrialEntry
 
 logbook = CommandGroup(help="Track a bench's constants over months.", rich_markup_mode=None)
 app.add_typer(logbook, name="logbook")
@@ -84,7 +85,7 @@ def list_trials(folder: Folder, most: Most = 20) -> CommandAnswer:
         name, counts, entries = book.name, book.counts(), book.trials(most)
     rows = [(str(e.id), e.label, e.experiment, e.outcome or "–",
              terminal.number(e.figures.get("relative_rmse_percent")),
-             e.path if e.there else f"{e.path} (not found)") for e in entries]
+             _near(e.path) if e.there else f"{e.path} (not found)") for e in entries]
     return CommandAnswer(
         {"bench": name, **{f"{k}s": v for k, v in counts.items()}, "newest": [entry._asdict() for entry in entries]},
         lambda: terminal.table(f"{name}: {counts['trial']} trials in {counts['session']} sessions", (
@@ -167,6 +168,11 @@ def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After
                   f"Note {note.id}: {text}. Resets: {', '.join(names) or 'nothing; --part names what is new'}.")
 
 
+def _near(path: str) -> str:
+    """Return a path without the folder in which the command runs."""
+    return path.removeprefix(f"{Path.cwd()}/")
+
+
 def _completed(incomplete: str) -> list[str]:
     from logbook.bench_state import CONSTANTS, PARTS
 
@@ -188,9 +194,24 @@ def _of_trial(book: Any, number: int) -> CommandAnswer:
     entries = book.trials(1, trial=number)
     if not entries:
         raise InputError(f"--trial {number}: is not in the logbook; bowden logbook list shows the numbers.")
-    shown = entries[0]._asdict() | {"verdicts": book.verdicts(number)}
-    return CommandAnswer(shown, lambda: terminal.table(f"trial {number}", ("key", "value"), [
-        (k, str(v)) for k, v in shown.items()]))
+    entry, verdicts = entries[0], book.verdicts(number)
+    return CommandAnswer(entry._asdict() | {"verdicts": verdicts}, lambda: _tell_trial(entry, verdicts))
+
+
+def _tell_trial(entry: TrialEntry, verdicts: Sequence[dict[str, Any]]) -> None:
+    from bowden.cli.trials.trial import FORCE_FIGURES
+    from trial.report import words
+
+    print(f"Trial {entry.id}, session {entry.label}: {entry.path}" + ("" if entry.there else " (not found)"))
+    print(f"  entered {entry.added}; {words.quantity(entry.seconds, 's')} recorded"
+          + ("" if entry.estimated else f"; not fitted: {entry.remark}"))
+    figures = {label.strip(): terminal.number(entry.figures[name]) for label, name in FORCE_FIGURES
+               if entry.figures.get(name) is not None}
+    for name, value in (words.shown(entry.conditions) | {"outcome": entry.outcome} | figures).items():
+        print(f"  {name}: {value}")
+    for verdict in verdicts:
+        print(f"  verdict of {verdict['made']}: {verdict['verdict']}"
+              + "".join(f", {words.words(name)}" for name in verdict.get("class", ())))
 
 
 def _tell(state: BenchState, most: int) -> None:
