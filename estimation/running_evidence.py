@@ -11,7 +11,7 @@ the trial (half of the prior) and in each later cycle.  The verdict after the la
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any, Final, NamedTuple
@@ -25,7 +25,7 @@ from estimation.data.table import Table, table
 from estimation.likelihood_data import PathRecording
 from estimation.linear_sums import EffectColumns, Sums, effect_columns, slopes, summed
 from estimation.outputs import predict
-from estimation.posterior import SessionData, bayes_factor, bounded
+from estimation.posterior import bayes_factor, bounded
 from estimation.reference_fit import ReferenceFit
 from physics.forward.path_constants import CONSTANTS, FREE, INDEX
 from physics.laws import Array
@@ -59,10 +59,10 @@ class WatchVerdict:
 
 
 class Naming(NamedTuple):
-    """Rule by which an effect is named: threshold in nats by session; share of the best log Bayes factor from which an
+    """Rule by which an effect is named: threshold, nats; share of the best log Bayes factor from which an
     effect is in the ambiguity set."""
 
-    threshold: Callable[[SessionData], float]
+    threshold: float
     set_share: float
 
 
@@ -76,7 +76,7 @@ class RunningEvidence:
         self.reference, self.span_s, self.naming, self.reference_n = reference, span_s, naming, reference_n
         self._size = reference.prior.mean.size
         self._precision = np.linalg.inv(reference.prior.covariance)
-        self._beyond, self._least = -1.0, 0.0
+        self._beyond = -1.0
         self._x = np.zeros(self._size)
         self._variants = effect_columns(reference)
         self._cycles: list[Sums] = []
@@ -105,7 +105,7 @@ class RunningEvidence:
         """
         observed = self.reference.observe(recording)
         if observed.beyond > self._beyond:
-            self._beyond, self._least = observed.beyond, self.naming.threshold(observed)
+            self._beyond = observed.beyond
             self._precision = np.linalg.inv(self.reference.prior_of(observed).covariance)
         base = slopes(self.reference.model, self._variants, self._null(), recording)
         design = np.concatenate([base.base, observed.features], axis=1)[inside]
@@ -136,7 +136,7 @@ class RunningEvidence:
         order = sorted(rated, key=lambda name: -rated[name][0])
         best = order[0]
         nats, since, part, sizes = rated[best]
-        named = nats >= self._least
+        named = nats >= self.naming.threshold
         suspected = tuple(n for n in order if named and rated[n][0] >= self.naming.set_share * nats)
         error, peak = self._end_error(window, recording, inside, part if named else None, sizes)
         cost = np.sqrt(max(error**2 - self.reference_n**2, 0.0)) / peak if peak > 0.0 else 0.0

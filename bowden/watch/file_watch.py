@@ -110,7 +110,7 @@ ANY: Final = "any"
 """Word for every effect in --stop-on."""
 STOP_PERCENT: Final = 2.0
 """Error of END, % of the peak, that a named effect must cost for a stop."""
-NAMING: Final = Naming(threshold, SET_SHARE)
+NAMING: Final = Naming(threshold(PATH_MODEL), SET_SHARE)
 """Rule of the diagnosis by which a suspicion names effects."""
 DRIFT_S: Final = 20.0
 """Time, s, over which a running trial's drifts are counted, since its end is unknown yet."""

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from diagnosis.evidence.hypothesis_search import TrialModes, search_null, search_pairs
+from estimation.forward_model import ForwardModel
 from estimation.posterior import HUBER, SURROGATE, PosteriorMode, SessionData, own_error, screened
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
@@ -67,7 +68,7 @@ def decide(found: TrialModes) -> Decision:
 
     If an effect is named, further modes of the null and pairs with the best effect are fitted and added to `found`.
     """
-    least = threshold(found.observed)
+    least = threshold(found.observed.model)
     if detected(found.gains(), least):
         search_null(found)
     gains = found.gains()
@@ -103,12 +104,9 @@ def unnamed(found: TrialModes) -> Decision:
     return Decision("unexplained" if lack else "none", (), (), None, found.gains(), misfit, lack)
 
 
-def threshold(observed: SessionData) -> float:
-    """Return the log Bayes factor, nats, from which an effect is named in the trials of one session.
-
-    It grows with the motion that the reference trials do not have, as the session deviation of the path does.
-    """
-    return observed.model.nats_factor * math.hypot(1.0, observed.model.unseen * observed.beyond) * NAMED_NATS
+def threshold(model: ForwardModel) -> float:
+    """Return the log Bayes factor, nats, from which an effect is named in the trials of one session."""
+    return model.nats_factor * NAMED_NATS
 
 
 def probabilities(gains: Mapping[str, float], least: float) -> dict[str, float]:

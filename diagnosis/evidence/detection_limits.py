@@ -82,4 +82,4 @@ def detection_limits(
 def _response(observed: SessionData, null: PosteriorMode, variant: Variant) -> EffectResponse:
     effect, applied = response(null, observed, variant)
     return EffectResponse(variant, effect[:, 0], applied[:, 1], float(effect[:, 0] @ applied[:, 1]),
-                          threshold(observed))
+                          threshold(observed.model))

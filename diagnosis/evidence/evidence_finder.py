@@ -141,7 +141,7 @@ class EvidenceFinder:
         gain = figures.gain()
         error = {"reference": reference.rmse_n, "before": figures.rms_n("reference"),
                  "session": figures.rms_n("session"), "after": figures.rms_n("session" if gain is None else "named")}
-        evidence = {"log_bayes_factors": decided.gains, "named_nats": decision.threshold(observed),
+        evidence = {"log_bayes_factors": decided.gains, "named_nats": decision.threshold(self.model),
                     "misfit": decided.misfit, "error_n": error,
                     "shifts": _shifts(at, reference, found)}
         experiment = _experiment(decided.among) if decided.verdict == "ambiguous" else None
@@ -256,7 +256,7 @@ class EvidenceFinder:
 
 def _probability(found: TrialModes, decided: Decision, name: str) -> float:
     """Return the probability of a chosen effect; of a second one beside the first."""
-    least = decision.threshold(found.observed)
+    least = decision.threshold(found.observed.model)
     if name == decided.chosen[0]:
         return decision.probabilities(decided.gains, least)[name]
     return decision.probabilities(found.further(decided.chosen[0]), DOUBTED * least)[name]
@@ -288,12 +288,12 @@ def _refused(found: TrialModes, decided: Decision, *, alone: bool) -> str:
     if not decided.chosen:
         return ""
     name = decided.chosen[0]
-    if alone and decided.gains[name] < DOUBTED * decision.threshold(found.observed):
+    if alone and decided.gains[name] < DOUBTED * decision.threshold(found.observed.model):
         return (f"{name} raises the likelihood, but not enough beside one reference trial, which does not show how "
                 "sessions differ: it is not named. Another reference trial would tell.")
     left = max((decided.misfit[key] for key in decided.lacking if key != "session"), default=0.0)
     if decided.lacking and (left > DOUBTED * decision.MISFIT
-                            or decided.gains[name] < DOUBTED * decision.threshold(found.observed)):
+                            or decided.gains[name] < DOUBTED * decision.threshold(found.observed.model)):
         return (f"{name} explains the trial best ({decided.gains[name]:.0f} nats), but not what it departs by (misfit "
                 f"{left:.2g}): it is not named.")
     return ""
