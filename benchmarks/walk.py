@@ -1,4 +1,4 @@
-"""Commands of the first day of five users: `python -m benchmarks.walk [--user data|controller|can|months|bench …]`.
+"""Commands of the first day of six users: `python -m benchmarks.walk [--user data|controller|can|months|bench|rig …]`.
 
 Prints for each user the time to the first success, and for each command its time, exit status and messages.  Exits
 with status 1 if a command prints a traceback or ends with another exit status than expected.
@@ -63,6 +63,20 @@ def _controller() -> None:
     Path("own.py").write_text(CONTROLLER, encoding="utf-8")
 
 
+def _axis() -> None:
+    """Write three recordings of an axis without rope and knee; its viscous friction has grown in the third."""
+    for name, viscous, other in (("good", 0.05, 1.0), ("good2", 0.05, 1.3), ("worn", 0.12, 1.0)):
+        rows, slip, before = ["time_s,servo_position_rad,servo_torque_nm"], 0.0, 0.0
+        for k in range(12_000):
+            angle, speed, push = (sum(part(w * k / 500) * size * w**n for w, size in ((3.1 * other, 1.0), (7.2, 0.3)))
+                                  for n, part in enumerate((math.sin, math.cos, lambda x: -math.sin(x))))
+            slip += (angle - before) * (1.0 - slip * math.copysign(1.0, angle - before)) / 0.01
+            before = angle
+            noise = 0.004 * math.sin(1e4 * math.sin(k))
+            rows.append(f"{k / 500:.3f},{angle:.6f},{0.02 * push + 0.3 * slip + viscous * speed + noise:.5f}")
+        Path(f"{name}.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
 USERS: Final[dict[str, tuple[Callable[[], None], tuple[Typed, ...]]]] = {
     "data": (_table, (Typed("info lab.csv"), Typed("diagnose lab.csv", 2), Typed("import lab.csv --guess -o map.toml"),
                       Typed("import lab.csv --map map.toml -o lab.mcap"),
@@ -83,6 +97,10 @@ USERS: Final[dict[str, tuple[Callable[[], None], tuple[Typed, ...]]]] = {
         Typed("init --shape bench_two_legs -o bench.toml"), Typed("check config bench.toml"),
         Typed(f"trial --config bench.toml {SHORT} -o legs.mcap", success=True),
         Typed("report legs.mcap -o legs.html"), Typed("diagnose legs.mcap", 2))),
+    "rig": (_axis, (
+        Typed("info worn.csv"), Typed("diagnose worn.csv", 2),
+        Typed("diagnose worn.csv --healthy good.csv --healthy good2.csv --report worn.html", success=True),
+        Typed("fit good.csv good2.csv -o axis.toml"))),
 }
 """Users by name: a function that writes their files, and their commands."""
 

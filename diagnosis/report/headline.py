@@ -133,15 +133,20 @@ def _errors(found: Findings) -> Errors | None:
                   told["healthy_rms_n"], gain if found.causes else None, told["session_sigma"], unit)
 
 
+def _amount(value: float, unit: str) -> str:
+    """Return an error in its unit, with two decimals; a small one, of another rig, with two significant digits."""
+    return f"{value:.2f} {unit}" if value >= 0.015 or value == 0.0 else f"{value:.2g} {unit}"
+
+
 def error_sentence(errors: Errors, signals: Sequence[str], of_rig: bool = False) -> str:
     """Return the sentence on the error by the models reference, session and named, and on that of reference trials."""
     unit = errors.unit
-    steps = [f"{errors.reference:.2f} {unit} in the reference condition",
-             f"{errors.session:.2f} {unit} with this session's constants adapted"]
+    steps = [f"{_amount(errors.reference, unit)} in the reference condition",
+             f"{_amount(errors.session, unit)} with this session's constants adapted"]
     if errors.named is not None:
-        steps.append(f"{errors.named:.2f} {unit} with what is named below")
+        steps.append(f"{_amount(errors.named, unit)} with what is named below")
     own = errors.reference_rmse
-    beside = "" if own is None else f"; reference trials miss each other by {own:.2f} {unit}"
+    beside = "" if own is None else f"; reference trials miss each other by {_amount(own, unit)}"
     return (f"The simulation of this {'rig' if of_rig else 'bench'} misses {' and '.join(signals)} by "
             f"{', '.join(steps[:-1])} and {steps[-1]}, on cycles that no fit has seen{beside}.")
 
@@ -162,24 +167,24 @@ def none_sentence(errors: Errors, of_rig: bool = False) -> str:
     unit, what = errors.unit, "rig" if of_rig else "bench"
     if errors.reference_rmse is None:
         return (f"No effect is named: a {what} of the population, its constants within their spread, predicts the "
-                f"trial to {errors.session:.2f} {unit}.")
+                f"trial to {_amount(errors.session, unit)}.")
     if errors.agree(errors.reference):
         return ("The trial agrees with the reference trials within what they differ by: no change of the "
                 f"{what} is needed to explain it.")
-    differs = f"The trial differs from the reference condition by {errors.reference:.2f} {unit}"
+    differs = f"The trial differs from the reference condition by {_amount(errors.reference, unit)}"
     if errors.agree(errors.session):
         moved = ("within their scatter" if errors.within_scatter() else
                  f"of which one changed by {errors.sigma:.0f} σ of their scatter")
         return f"{differs}, which is the session's: its constants, {moved}, explain it."
-    return (f"{differs}; the session's constants leave {errors.session:.2f} {unit} of it, which no effect of the "
+    return (f"{differs}; the session's constants leave {_amount(errors.session, unit)} of it, which no effect of the "
             "catalogue explains.")
 
 
 def _places(unexplained: Mapping[str, Mapping[str, float]], errors: Errors | None) -> str:
     """Return where the best model has a lack of fit: each output with its error and that of reference trials."""
     unit = "N" if errors is None else errors.unit
-    return ", ".join(f"{NAMES.get(name, name)} is missed by {row['rms']:.2f} {unit}, where reference trials miss each "
-                     f"other by {row['floor']:.2f} {unit}" for name, row in unexplained.items())
+    return ", ".join(f"{NAMES.get(name, name)} is missed by {_amount(row['rms'], unit)}, where reference trials miss "
+                     f"each other by {_amount(row['floor'], unit)}" for name, row in unexplained.items())
 
 
 def _limits(found: Findings) -> Iterator[str]:

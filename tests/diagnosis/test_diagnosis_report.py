@@ -234,6 +234,15 @@ def test_the_picture_has_both_branches_and_less_residual_after(found: Findings) 
     assert left[1] < left[0]
 
 
+def test_each_model_s_loop_is_over_its_own_end(found: Findings) -> None:
+    (end,) = found.traces["tension_end_n"]
+    low = dataclasses.replace(end, before=0.2 * end.measured)  # the reference condition's END gain is a fifth lower
+    plot = residual_picture.loop_plot(dataclasses.replace(found, traces={**found.traces, "tension_end_n": [low]}))
+    assert plot is not None
+    measured, reference = (np.max(np.asarray(series.x, np.float64)) for series in plot.series[:2])
+    assert reference == pytest.approx(0.8 * measured)
+
+
 def test_figures_are_exported_as_pictures_and_tables(found: Findings, tmp_path: Path) -> None:
     folder = tmp_path / "figures"
     made = figure_export.write(found, folder)

@@ -200,6 +200,7 @@ def _read(groups: Sequence[Sequence[Path]], path: str | None, step: Callable[[fl
 
 def _tell(found: Findings, result: dict[str, Any]) -> None:
     from diagnosis.report.headline import headline
+    from trial.report.words import quantities, words
 
     if "path" in result:
         print(f"Path {result['path']}.")
@@ -210,9 +211,11 @@ def _tell(found: Findings, result: dict[str, Any]) -> None:
     _tell_signals(result["relations"])
     shifts = (found.evidence or {}).get("shifts", {})
     if shifts and found.reference == "healthy" and found.bench is None:
-        terminal.table("constants of the rig, named or not", ("constant", "reference", "here", "95 %", "unit"), [
-            (name, f"{one['from']:.4g}", f"{one['to']:.4g}", f"{one['low']:.4g} … {one['high']:.4g}", one["unit"])
-            for name, one in shifts.items()])
+        shown = {name: quantities([one[key] for key in ("from", "to", "low", "high")], one["unit"])
+                 for name, one in shifts.items()}
+        terminal.table("constants of the rig, named or not", ("constant", "unit", "reference", "here", "95 %"), [
+            (words(name), unit, reference, here, f"{low} … {high}")
+            for name, ((reference, here, low, high), unit) in shown.items()])
     for warning in found.warnings[found.verdict == "refused" and not found.candidates:]:  # the headline has the reason
         terminal.sentence(f"Warning: {warning}")
 
