@@ -51,6 +51,9 @@ class Errors(NamedTuple):
         return self.sigma <= 3.0
 
 
+CONTRADICTORY: Final = "These data contradict themselves, so nothing is said about the bench."
+
+
 def headline(found: Findings) -> Iterator[str]:
     """Yield the first sentences of a diagnosis, most important first."""
     if found.candidates:
@@ -61,7 +64,7 @@ def headline(found: Findings) -> Iterator[str]:
     elif found.verdict == "refused":
         yield f"{refused_because(found).rstrip('.')}: " + (
             found.warnings[0] if found.warnings else "no reason was given.")
-        if "--healthy" not in "".join(found.warnings[:1]):
+        if refused_because(found) == CONTRADICTORY:
             yield "Mend the data and record again."
     elif found.part == "wire":
         yield " ".join(_cause(cause) for cause in found.causes)
@@ -215,7 +218,7 @@ def refused_because(found: Findings) -> str:
         return "Reference trials of this rig are missing, so nothing can be checked about it."
     if "; expected at least " in reason:
         return "The trials are too short, so nothing can be checked about the bench."
-    return "These data contradict themselves, so nothing is said about the bench."
+    return CONTRADICTORY
 
 
 def _cause(cause: Mapping[str, Any]) -> str:

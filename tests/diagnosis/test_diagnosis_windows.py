@@ -36,17 +36,3 @@ def test_a_long_file_is_read_by_its_windows_as_it_is_from_memory(tmp_path: Path)
         assert rows.keys() == same.keys()
         assert all(np.array_equal(rows[name], same[name], equal_nan=True) for name in rows)
     assert all(values.base is None for values in from_file.before.values()), "the whole file's columns stay in memory"
-
-
-def test_a_long_file_is_read_by_its_windows_as_it_is_from_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-                                                                 ) -> None:
-    path = tmp_path / "trial.mcap"
-    bowden.run(bowden.Experiment(cycles=6, settle=0), output=path)
-    monkeypatch.setattr(windows, "MOST_S", 4.8)
-    from_file, from_memory = windows.read(path), windows.bounded(table.read(path))
-    assert from_file.seams and from_file.seams == from_memory.seams
-    assert from_file.notes == from_memory.notes
-    for rows, same in ((from_file.columns, from_memory.columns), (from_file.before, from_memory.before)):
-        assert rows.keys() == same.keys()
-        assert all(np.array_equal(rows[name], same[name], equal_nan=True) for name in rows)
-    assert all(values.base is None for values in from_file.before.values()), "the whole file's columns stay in memory"
