@@ -65,9 +65,9 @@ def gear_ratio(dictionary: Dictionary) -> float:
     return dictionary.initial(0x6091, 1) / dictionary.initial(0x6091, 2)
 
 
-def process_value_unit(dictionary: Dictionary, channel: int = 1) -> float:
+def process_value_unit(dictionary: Dictionary) -> float:
     """Newtons per count of 0x7130 and 0x9130: the unit 0x6131 with the decimals 0x6132."""
-    return _unit(dictionary, 0x6131, channel) * 10.0 ** -dictionary.initial(0x6132, channel)
+    return _unit(dictionary, 0x6131, 1) * 10.0 ** -dictionary.initial(0x6132, 1)
 
 
 def scales(dictionary: Dictionary) -> dict[int, float]:

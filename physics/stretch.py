@@ -58,8 +58,8 @@ def slope(of: Any, force: Any) -> Any:
             + of.stretch_wide * np.exp(-np.asarray(force) / WIDE_N))
 
 
-def limit_n(of: Any, least_m_n: float, highest_n: float = 300.0) -> float:
-    """Return the force, N, at which the slope falls to `least_m_n`, at most `highest_n`."""
-    force = np.linspace(0.0, highest_n, 3001)
-    flat = np.flatnonzero(slope(of, force) <= least_m_n)
-    return float(force[flat[0]]) if flat.size else highest_n
+def limit_n(of: Any, least_m_n: float) -> float:
+    """Return the force, N, at which the slope falls to `least_m_n`, at most 300 N."""
+    force = np.linspace(0.0, 300.0, 3001)
+    flat = force[slope(of, force) <= least_m_n]
+    return float(flat[0]) if flat.size else 300.0

@@ -243,9 +243,8 @@ class Player:
         played = self.position_ns(now_ns) / self.schedule.length_ns if self.schedule.length_ns else 0.0
         return (self.pass_ + played) / self._loops
 
-    def _control(self, control: PlayerControl, now_ns: int, speed: float | None = None) -> None:
-        here = self._playback.at(self.position_ns(now_ns), now_ns)
-        self._playback = here.told(now_ns, control, speed=speed)
+    def _control(self, control: PlayerControl, now_ns: int) -> None:
+        self._playback = self._playback.at(self.position_ns(now_ns), now_ns).told(now_ns, control)
 
     def play(self, now_ns: int) -> None:
         """Continue from the present position; start again at the first pass if every pass was played."""

@@ -111,6 +111,14 @@ class Draw(NamedTuple):
     high: float
     logarithmic: bool
 
+    def at(self, share: float) -> Value:
+        """Return the value at a share of the range, 0…1."""
+        if kind_of(self.name) is int:
+            return int(self.low + share * (self.high - self.low + 1))
+        if self.logarithmic:
+            return float(self.low * (self.high / self.low) ** share)
+        return self.low + share * (self.high - self.low)
+
 
 @cache
 def kinds() -> Mapping[str, type[Any]]:
@@ -206,7 +214,8 @@ def rows(
         raise InputError(f"{trials} trials, expected at most {LARGEST_SWEEP}; vary less.")
     grid = [dict(zip((name for name, _ in axes), point, strict=True))
             for point in itertools.product(*(values for _, values in axes))]
-    drawn = _drawn(draws, count, seed)
+    shares = np.random.Generator(np.random.Philox(seed)).random((count if draws else 1, len(draws))).tolist()
+    drawn = [{each.name: each.at(share) for each, share in zip(draws, line, strict=True)} for line in shares]
     varied = frozenset(names).union(fixed)
     whole = [_tuned({**base, **fixed, **point, **more}) for point in grid for more in drawn]
     for name in names:
@@ -230,22 +239,6 @@ def _tuned(row: Row) -> Row:
     text = ", ".join(filter(None, (str(row["gait.tuning"]),
                                    *(f"{name.removeprefix(OWN)}={value:g}" for name, value in own.items()))))
     return {**row, **{name: own.get(name, "") for name in given}, "gait.tuning": text}
-
-
-def _drawn(draws: Sequence[Draw], count: int, seed: int) -> list[Row]:
-    if not draws:
-        return [{}]
-    random = np.random.Generator(np.random.Philox(seed))
-    unit = random.random((count, len(draws)))
-    return [{each.name: _between(each, float(u)) for each, u in zip(draws, line, strict=True)} for line in unit]
-
-
-def _between(each: Draw, u: float) -> Value:
-    if kind_of(each.name) is int:
-        return int(each.low + u * (each.high - each.low + 1))
-    if each.logarithmic:
-        return float(each.low * (each.high / each.low) ** u)
-    return each.low + u * (each.high - each.low)
 
 
 def table(row: Row, name: str) -> Any:

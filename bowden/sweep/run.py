@@ -13,9 +13,9 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -64,27 +64,22 @@ class Workers:
         except BrokenExecutor:
             if self.renewed is None:
                 raise
-            self.executor = self.renewed()
-            return self.executor.submit(job.function, *job.arguments)
+        self.executor = self.renewed()
+        return self.executor.submit(job.function, *job.arguments)
 
 
-@contextmanager
-def workers_of(scheduler: str | None, count: int | None = None) -> Iterator[Workers]:
-    """Yield `count` processes of this machine (None: one a processor), or the workers of a Dask scheduler."""
-    with local(count) if scheduler is None else cluster(scheduler) as workers:
-        yield workers
+def workers_of(scheduler: str | None, count: int | None = None) -> AbstractContextManager[Workers]:
+    """Open `count` processes of this machine (None: one a processor), or the workers of a Dask scheduler."""
+    return local(count) if scheduler is None else cluster(scheduler)
 
 
 @contextmanager
 def local(count: int | None = None) -> Iterator[Workers]:
     """Yield processes on this machine, by default as many as it has processors."""
     count = count or os.cpu_count() or 1
+    opened = partial(ProcessPoolExecutor, count, mp_context=get_context("spawn"), initializer=_aside)
     with ExitStack() as pools:
-        def pool() -> Executor:
-            return pools.enter_context(
-                ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_aside))
-
-        yield Workers(pool(), count, pool)
+        yield Workers(pools.enter_context(opened()), count, lambda: pools.enter_context(opened()))
 
 
 def _aside() -> None:

@@ -59,11 +59,10 @@ def spreads(rows: Rows) -> dict[str, FigureRange]:
     """Return the spread of each of `FIGURES` that some trial has."""
     found = {}
     for figure in FIGURES:
-        values = known(rows, figure)
-        if values:
+        if values := known(rows, figure):
             worst = max(values, key=lambda number: values[number])
-            found[figure] = FigureRange(len(values), statistics.median(values.values()), min(values.values()),
-                                   values[worst], worst)
+            found[figure] = FigureRange(
+                len(values), statistics.median(values.values()), min(values.values()), values[worst], worst)
     return found
 
 

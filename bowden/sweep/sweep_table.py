@@ -9,8 +9,8 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from bowden.sweep.row_trial import COMMIT, FIGURES
@@ -26,7 +26,7 @@ def text(value: object) -> str:
     return "" if value is None else repr(value) if isinstance(value, float) else str(value)
 
 
-class SweepTable:
+class SweepTable(AbstractContextManager["SweepTable"]):
     """Rows by their parameters, all of them text; opening continues a partial file."""
 
     def __init__(self, path: Path, parameters: Sequence[str], *, overwrite: bool = False) -> None:
@@ -41,17 +41,14 @@ class SweepTable:
         if path.suffix == ".parquet":
             _arrow()
         self.rows: dict[Key, list[str]] = {}
-        if not overwrite:
-            self._take(path, _parquet_lines) if self.growing != path else None
-            self._take(self.growing, _csv_lines)
+        for table in () if overwrite else dict.fromkeys((path, self.growing)):
+            if table.exists():
+                self._take(table, lines_of(table))
         self.commits = {line[-1] for line in self.rows.values()}
         self._write(self.rows.values())
         self._file = self.growing.open("a", newline="", encoding="utf-8")
 
-    def __enter__(self) -> SweepTable:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._file.close()
 
     def key(self, row: Mapping[str, Any]) -> Key:
@@ -86,10 +83,7 @@ class SweepTable:
             pq.write_table(pa.table(columns), part)
         self.growing.unlink()
 
-    def _take(self, path: Path, lines_of: Any) -> None:
-        if not path.exists():
-            return
-        lines = lines_of(path)
+    def _take(self, path: Path, lines: Sequence[Sequence[str]]) -> None:
         if lines and tuple(lines[0]) != self.columns:
             differ = sorted(set(lines[0]).symmetric_difference(self.columns)) or ["their order"]
             raise InputError(f"{path}: has other columns than this sweep ({', '.join(differ[:5])}); "

@@ -176,10 +176,7 @@ def home(
     return HomingResult(0.5 * abs(at[0] - at[1]), day._replace(start_offset_n=reading))
 
 
-def swing_held(
-    exchange: Exchange, rope_per_knee: float, force_n: float, angles: Iterable[float],
-    seen: Callable[[Inputs], None] = lambda _: None,
-) -> None:
+def swing_held(exchange: Exchange, rope_per_knee: float, force_n: float, angles: Iterable[float]) -> None:
     """Lead the knee through `angles`, rad, with the rope following, START held by an integral of its error.
 
     With a knee without a drive the rope follows the encoder's angle.
@@ -193,7 +190,7 @@ def swing_held(
         tension += share * (exchange.inputs.start_n - tension)
         held += HOLD_GAIN_M_S_N * (force_n - tension) * period_s
         led = angle if exchange.knee_driven else exchange.inputs.knee_angle_rad
-        seen(exchange.advance(held + rope_per_knee * (led - knee), angle))
+        exchange.advance(held + rope_per_knee * (led - knee), angle)
 
 
 def undeclared_lag(exchange: Exchange, calibration: Calibration) -> float:

@@ -111,9 +111,9 @@ def _permissions() -> Iterator[DoctorFinding]:
                             f"{host_computer.PERMIT} {python}")
 
 
-def jitter(seconds: float, period_s: float = 1e-3, goal_s: float = 250e-6) -> DoctorFinding:
+def jitter(seconds: float) -> DoctorFinding:
     """Measure the delay of this computer's wake-ups from waits as in the cycle, over `seconds` of wall time."""
-    late = []
+    period_s, goal_s, late = 1e-3, 250e-6, []
     with host_computer.prepared():
         due = time.perf_counter() + period_s
         end = due + seconds

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -36,11 +36,11 @@ class FoundNode(NamedTuple):
         return "" if found is None else found.info.get("productname") or Path(found.path).stem
 
 
-def scan(link: Link, files: Sequence[Path], node_ids: Iterable[int] = range(1, 128)) -> list[FoundNode]:
+def scan(link: Link, files: Sequence[Path]) -> list[FoundNode]:
     """Listen for 1.2 s, ask every node id for 0x1000 at once, then those that answered for 0x1018."""
     for _ in link.listen(LISTEN_NS):
         pass
-    asked = list(node_ids)
+    asked = range(1, 128)
     for node_id in asked:
         link.forget_response(SDO_RESPONSE_BASE + node_id)
     for node_id in asked:

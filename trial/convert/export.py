@@ -47,13 +47,11 @@ def export(
 
 def _writer(target: Path) -> Writer:
     name = target.name.lower()
-    for endings, write in (
-        ((".csv",), _csv), ((".csv.gz",), _csv_gz), ((".parquet",), _parquet), ((".xlsx",), _excel),
-        ((".tdms",), _tdms), ((".mf4",), _mdf), ((".mat",), _matlab5),
-        ((".log",), _candump),
-        (PYTHON_CAN, _can_log),
+    for ending, write in (
+        (".csv", _csv), (".csv.gz", _csv_gz), (".parquet", _parquet), (".xlsx", _excel), (".tdms", _tdms),
+        (".mf4", _mdf), (".mat", _matlab5), (".log", _candump), (PYTHON_CAN, _can_log),
     ):
-        if name.endswith(endings):
+        if name.endswith(ending):
             return write
     raise InputError(f"{target}: the ending {target.suffix or 'is missing and'} names no format; expected .csv, "
                      f".csv.gz, .xlsx, .tdms, .parquet, .mf4, .mat, .log, {', '.join(PYTHON_CAN)}.")

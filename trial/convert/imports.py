@@ -104,21 +104,15 @@ FORMATS = ".csv, .tsv, .dat, .txt, .log (also .gz), .xlsx, .tdms, .parquet, .mat
 
 def _reader(source: Path) -> Reader:
     ending = unpacked_ending(source)
-    if ending == ".mcap":
-        return _from_mcap
-    if ending == ".txt":
-        return _from_candump if any(map(candump.is_log, first_lines(source))) else _from_table
-    if ending == ".csv" and _is_python_cans(source):
-        return _from_python_can
-    if ending == ".mf4" and sheets.has_can_frames(source):
-        return _from_python_can
-    if ending in sheets.ENDINGS:
-        return _from_table
-    if ending == ".log":
+    if ending == ".txt" and any(map(candump.is_log, first_lines(source))):
         return _from_candump
-    if ending in PYTHON_CAN:
+    if (ending == ".csv" and _is_python_cans(source)) or (ending == ".mf4" and sheets.has_can_frames(source)):
         return _from_python_can
-    raise InputError(f"{source}: the ending {ending or 'is missing and'} names no format; expected {FORMATS}.")
+    readers = {".mcap": _from_mcap, ".log": _from_candump, **dict.fromkeys(sheets.ENDINGS, _from_table),
+               **dict.fromkeys(PYTHON_CAN, _from_python_can)}
+    if ending not in readers:
+        raise InputError(f"{source}: the ending {ending or 'is missing and'} names no format; expected {FORMATS}.")
+    return readers[ending]
 
 
 def table_of(source: Path, sheet: str = "") -> LabTable:
@@ -248,8 +242,7 @@ def _from_mcap(source: Path, report: ImportReport, asked: ImportRequest) -> Tria
     report.left_out = found.left_out
     content = _from_frames(source, found.frames, report, asked.wire)
     if found.columns:
-        columns = _mapped_columns(source, found, asked.mapped, report)
-        content.columns = columns
+        content.columns = _mapped_columns(source, found, asked.mapped, report)
         content.times, coarse = rising(mend(found.times, source).times, source)
         report.counts["coarse_stamps"] = coarse
         report.counts["cycles"] = len(content.times)
@@ -297,17 +290,16 @@ def read_foreign(path: Path) -> ForeignContent:
     with records.mapped(path) as view:
         summary = records.summary(view, path)
         kinds = {channel.number: _kind(channel) for channel in summary.channels.values()}
-        frames = [channel for channel in summary.channels.values() if kinds[channel.number] == "frames"]
-        tables = [channel for channel in summary.channels.values() if kinds[channel.number] == "table"]
+        frames, tables, others = ([channel for channel in summary.channels.values() if kinds[channel.number] == kind]
+                                  for kind in ("frames", "table", ""))
         if len(tables) > 1:
             names = ", ".join(channel.topic for channel in tables)
             raise InputError(f"{path}: has several tables, {names}; give a file with one.")
         columns, units = _topic_columns(tables, path)
         times, values = _topic_table(view, summary, tables, len(columns), path)
-        left_out = [channel.topic for channel in summary.channels.values() if kinds[channel.number] == ""]
         return ForeignContent(
             _topic_frames(view, summary, frames, path), times, dict(zip(columns, values, strict=True)), units,
-            [topic for topic in left_out if topic != cdr.EVENTS])
+            [channel.topic for channel in others if channel.topic != cdr.EVENTS])
 
 
 def _kind(channel: records.Channel) -> str:

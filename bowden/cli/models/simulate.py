@@ -83,10 +83,9 @@ VerifiedModel = Annotated[Path, argument("EXTENDED", "extended.toml of bowden di
 VerifiedTrials = Annotated[Path, option(
     "Trials to write: FILE with -before and -after before its suffix.", "-o", "--output", metavar="FILE")]
 
-VERIFIED = (
-    ("relative RMSE (%)", "relative_rmse_percent"), ("  within 10…30 % of gait (%)", "relative_rmse_window_percent"),
-    ("largest at idle (N)", "max_idle_tension_n"), ("jump at the peak (N)", "peak_jump_n"),
-)
+VERIFIED = {
+    "relative RMSE (%)": "relative_rmse_percent", "  within 10…30 % of gait (%)": "relative_rmse_window_percent",
+    "largest at idle (N)": "max_idle_tension_n", "jump at the peak (N)": "peak_jump_n"}
 
 
 @app.command()
@@ -105,6 +104,7 @@ def verify(
     Example: bowden verify extended.toml --plant-model bench.toml --cycles 4 -o verify.mcap
     """
     from bowden.trials import session
+    from bowden.trials.experiment import gained
 
     sections = reached.sections(rate)
     sections["gait"] = walk.gait(sections["gait"], controller="extended")
@@ -126,18 +126,11 @@ def verify(
                for name, file in files.items()}
     extended = prepared["after"].paths.get(path or "", prepared["after"].experiment)
     figures = {name: one | one.get("paths", {}).get(path, {}) for name, one in figures.items()}
-    result = _compared(model, extended, figures)
-    return CommandAnswer(result, lambda: _tell_verified(result, figures),
-                  max(ending.status_of(one["outcome"], one["stop_reason"]) for one in figures.values()))
-
-
-def _compared(model: Path, extended: Any, figures: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    from bowden.trials.experiment import gained
-
     judged, gain = gained(figures["before"], figures["after"])
-    return {"controller_model": str(model), "effects": {name: dict(values) for name, values in extended.known.items()},
-            "terms": [term.equation for term in extended.terms],
-            "judged_by": judged, "gain_percent": gain, **figures}
+    result = {"controller_model": str(model), "effects": {name: dict(of) for name, of in extended.known.items()},
+              "terms": [term.equation for term in extended.terms], "judged_by": judged, "gain_percent": gain, **figures}
+    return CommandAnswer(result, lambda: _tell_verified(result, figures),
+                         max(ending.status_of(one["outcome"], one["stop_reason"]) for one in figures.values()))
 
 
 def _tell_verified(result: dict[str, Any], figures: dict[str, dict[str, Any]]) -> None:
@@ -147,7 +140,7 @@ def _tell_verified(result: dict[str, Any], figures: dict[str, dict[str, Any]]) -
         f"{changes}: END {'true' if true else 'by its sensor'}, controller {figures['after']['controller']}",
         ("END", "uncompensated", "compensated"), [
             (text, *(figure(figures[name][f"true_{key}" if true else key]) for name in ("before", "after")))
-            for text, key in VERIFIED])
+            for text, key in VERIFIED.items()])
     print(f"Gain in relative RMSE: {figure(result['gain_percent'], 1)} %")
     for name, one in figures.items():
         print(f"Trial {name}: {one['trial']}" + (f", stopped: {one['stop_reason']}" if one["stop_reason"] else ""))
