@@ -61,7 +61,7 @@ def test_there_is_something_to_run() -> None:
 
 
 def test_the_worn_sensor_is_named(told: dict[str, str]) -> None:
-    assert "start_gain" in said_by(told, "diagnose worn.mcap")
+    assert "START gain" in " ".join(said_by(told, "diagnose worn.mcap").split())
 
 
 def test_the_foreign_table_is_a_trial(told: dict[str, str]) -> None:
