@@ -27,6 +27,8 @@ FORCES: Final = ("tension_start_n", "servo_force_n", "tension_end_n")
 """Outputs whose loop is drawn, the first one that was compared."""
 REFERENCE, NAMED = "simulated: reference condition", "simulated: with what is named"
 SESSION = "simulated: session adapted"
+MEASURED_ONLY: Final = " (measured)"
+"""End of a signal's words, left out of a loop, which has simulated lines, too."""
 
 
 class MeanResidual(NamedTuple):
@@ -99,7 +101,8 @@ def loop_plot(found: Findings, turning: bool = False) -> Plot | None:
     if not np.isfinite(x).any() or float(np.ptp(x[np.isfinite(x)])) <= 0.0:
         return None
     shown, factor = display_unit("N" if over == "tension_end_n" else "rad" if turning else "m")
-    across, up = ("position" if turning else words(over)), words(name)
+    across, up = ("position" if turning else words(over)).removesuffix(MEASURED_ONLY), words(name).removesuffix(
+        MEASURED_ONLY)
     sides = (("measured", MEASURED, 4.5), (REFERENCE, BEFORE, 1.8), (SESSION, ADAPTED, 1.8), (NAMED, AFTER, 1.8))
     ends = _ends(found.traces, parts)
     along = _cycle(ends, over)[1:] if over == "tension_end_n" and ends else [x] * len(lines)

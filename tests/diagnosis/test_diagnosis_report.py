@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import json
 import math
 import re
 from pathlib import Path
@@ -119,7 +120,7 @@ def test_first_come_error_cause_ambiguity_set_and_next_step(found: Findings, mea
     assert told[6] == "Constants that moved most: cable 0.13 → 0.25."
     html = build(found, [measured], []).html().partition("<main>")[2]
     first = [html.index(text) for text in (
-        "mu1 0.08", 'class="bench"', "START (measured) over END (measured)", "Error of the simulation",
+        "mu1 0.08", 'class="bench"', "START over END", "Error of the simulation",
         "misses START and END", "To separate them", "Root mean square on cycles", "over gait phase", "What was tried")]
     assert first == sorted(first)
 
@@ -234,13 +235,18 @@ def test_the_picture_has_both_branches_and_less_residual_after(found: Findings) 
     assert left[1] < left[0]
 
 
-def test_each_model_s_loop_is_over_its_own_end(found: Findings) -> None:
+def test_each_model_s_loop_is_over_its_own_end(found: Findings, measured: Table) -> None:
     (end,) = found.traces["tension_end_n"]
     low = dataclasses.replace(end, before=0.2 * end.measured)  # the reference condition's END gain is a fifth lower
-    plot = residual_picture.loop_plot(dataclasses.replace(found, traces={**found.traces, "tension_end_n": [low]}))
+    changed = dataclasses.replace(found, traces={**found.traces, "tension_end_n": [low]})
+    plot = residual_picture.loop_plot(changed)
     assert plot is not None
-    measured, reference = (np.max(np.asarray(series.x, np.float64)) for series in plot.series[:2])
-    assert reference == pytest.approx(0.8 * measured)
+    peak, reference = (np.max(np.asarray(series.x, np.float64)) for series in plot.series[:2])
+    assert reference == pytest.approx(0.8 * peak)
+    page = build(changed, [measured], [])
+    (drawn,) = [one for one in json.loads(page.html().split('id="page-data">')[1].split("</script>")[0])["plots"]
+                if one["loop"]]
+    assert len({series["x"] for series in drawn["series"]}) > 1
 
 
 def test_figures_are_exported_as_pictures_and_tables(found: Findings, tmp_path: Path) -> None:

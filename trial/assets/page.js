@@ -179,7 +179,7 @@
       mode: 2, width: host.clientWidth, height: plot.height, series: [{}, ...lines], legend: { show: false },
       scales: { x: { time: false, range }, y: { range } }, axes: axes(plot),
       cursor: { drag: { x: true, y: true, dist: 4 }, points: { show: false } },
-    }, [null, ...plot.series.map(line => [array(plot.x), array(line.y)])], host);
+    }, [null, ...plot.series.map(line => [array(line.x ?? plot.x), array(line.y)])], host);
     new ResizeObserver(() => plot.chart.setSize({ width: host.clientWidth, height: plot.height })).observe(host);
   }
 

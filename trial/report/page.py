@@ -205,8 +205,9 @@ class Page:
 
     def _packed(self, one: Series) -> dict[str, Any]:
         high = None if one.high is None else self._pool.ordinate(_floats(one.high))
-        style = {name: value for name, value in one._asdict().items() if name not in ("values", "x")}
-        return style | {"y": self._pool.ordinate(_floats(one.values)), "high": high}
+        own = None if one.x is None else self._pool.ordinate(_floats(one.x))
+        style = {name: value for name, value in one._asdict().items() if name != "values"}
+        return style | {"x": own, "y": self._pool.ordinate(_floats(one.values)), "high": high}
 
     def _add(self, html: str) -> None:
         if not self._sections:
