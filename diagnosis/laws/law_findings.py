@@ -22,7 +22,8 @@ from physics.terms import MODULATIONS
 CLOSE_CALL: Final = 0.8
 """Evidence, relative to the best candidate's, from which held-out cycles decide: it is linear, and off by as much."""
 TRIED: Final = 3
-"""Candidates for one term that are fitted and tested on held-out cycles; each costs about a second."""
+"""Candidates for the first term that are fitted and tested on held-out cycles; of a further term the foremost alone,
+since each is screened again for what it replaces."""
 
 
 def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Table], variants: Sequence[Variant] = ()
@@ -47,7 +48,7 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
         offers = search.further(chosen, at)
         # the evidence is linear and of all cycles, so that held-out cycles decide between nearly equal candidates
         tried: list[tuple[bool, float, int, list[Candidate], PosteriorMode, Array]] = []
-        for offer in [c for c in offers if c.nats >= CLOSE_CALL * offers[0].nats][:TRIED]:
+        for offer in [c for c in offers if c.nats >= CLOSE_CALL * offers[0].nats][:1 if chosen else TRIED]:
             more = search.swapped([*chosen, offer]) if chosen else [offer]
             there = search.fitted(more)
             then = search.predicted(more, there)
