@@ -13,7 +13,7 @@ from diagnosis.evidence.held_out import HeldOut, blocks_of
 from diagnosis.laws.law_result import Laws, Picture
 from diagnosis.laws.law_search import MOST_TERMS, WORSE, Candidate, LawSearch
 from estimation.data.table import Table
-from estimation.posterior import PosteriorMode, SessionData
+from estimation.posterior import Gaussian, PosteriorMode, SessionData
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
@@ -43,7 +43,7 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     def figures(before: Array, after: Array) -> dict[str, Figures]:
         return HeldOut(observed, reference.missed(observed), before, after, blocks).figures(reference)
 
-    least = _least(reference, observed)
+    least = _least(reference, observed, search.prior)
     while len(chosen) < MOST_TERMS:
         offers = search.further(chosen, at)
         # the evidence is linear and of all cycles, so that held-out cycles decide between nearly equal candidates
@@ -85,15 +85,20 @@ def _fault(judged: Mapping[str, Figures], least: Mapping[str, float]) -> str:
     if all((f.low or 0.0) <= 0.0 for f in judged.values()):
         return "no gain on held-out cycles that whole cycles confirm"
     if all((f.rmse_session or 0.0)**2 - (f.rmse_after or 0.0)**2 < least[name] for name, f in judged.items()):
-        return f"the best term gains less than {DOUBTED:g} times the model error's variance"
+        return f"the best term gains less than {DOUBTED:g} times the variance of model error and discrepancy"
     return ""
 
 
-def _least(reference: ReferenceFit, observed: SessionData) -> dict[str, float]:
-    """Return `DOUBTED` times the variance of the model error in the trial's motion by judged signal, N²."""
-    growth = float(np.mean(observed.growth))
-    return {name: DOUBTED * growth * float(np.mean(reference.model_error[reference.outputs.index(name)]))
-            for name in observed.model.judged if name in observed.outputs}
+def _least(reference: ReferenceFit, observed: SessionData, prior: Gaussian) -> dict[str, float]:
+    """Return `DOUBTED` times the variance of model error and discrepancy in the trial's motion by judged signal, N².
+
+    A discrepancy of the session repeats in each cycle, so that held-out cycles confirm a term that describes it.
+    """
+    growth, count = float(np.mean(observed.growth)), observed.features.shape[1]
+    repeats = np.einsum("nk,kl,nl->n", observed.features, prior.covariance[-count:, -count:], observed.features)
+    return {name: DOUBTED * (growth * float(np.mean(reference.model_error[reference.outputs.index(name)])) + float(
+        np.mean(observed.part(repeats, observed.outputs.index(name)))))
+        for name in observed.model.judged if name in observed.outputs}
 
 
 def _picture(search: LawSearch, chosen: Sequence[Candidate], at: PosteriorMode, k: int) -> Picture:
