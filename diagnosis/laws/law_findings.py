@@ -23,7 +23,7 @@ CLOSE_CALL: Final = 0.8
 """Evidence, relative to the best candidate's, from which held-out cycles decide: it is linear, and off by as much."""
 TRIED: Final = 3
 """Candidates for the first term that are fitted and tested on held-out cycles; of a further term the foremost alone,
-since each is screened again for what it replaces."""
+since each of them costs another screen for swaps."""
 
 
 def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Table], variants: Sequence[Variant] = ()
