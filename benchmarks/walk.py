@@ -68,8 +68,10 @@ def _axis() -> None:
     for name, viscous, other in (("good", 0.05, 1.0), ("good2", 0.05, 1.3), ("worn", 0.12, 1.0)):
         rows, slip, before = ["time_s,servo_position_rad,servo_torque_nm"], 0.0, 0.0
         for k in range(12_000):
-            angle, speed, push = (sum(part(w * k / 500) * size * w**n for w, size in ((3.1 * other, 1.0), (7.2, 0.3)))
-                                  for n, part in enumerate((math.sin, math.cos, lambda x: -math.sin(x))))
+            moves = [(w, size, w * k / 500) for w, size in ((3.1 * other, 1.0), (7.2, 0.3))]
+            angle = sum(size * math.sin(at) for _, size, at in moves)
+            speed = sum(size * w * math.cos(at) for w, size, at in moves)
+            push = -sum(size * w**2 * math.sin(at) for w, size, at in moves)
             slip += (angle - before) * (1.0 - slip * math.copysign(1.0, angle - before)) / 0.01
             before = angle
             noise = 0.004 * math.sin(1e4 * math.sin(k))

@@ -190,7 +190,8 @@ def test_each_cell_of_the_grid_has_a_line_with_why_its_trials_stopped() -> None:
 
 def test_the_terminal_shows_the_cells(capsys: pytest.CaptureFixture[str]) -> None:
     sweep_command._tell_cells([
-        {"cell": {"gait.controller": name}, "trials": 1, "completed": done, "stopped": stopped, "median": median}
+        {"cell": {"gait.controller": name, "controller.share": ""}, "trials": 1, "completed": done, "stopped": stopped,
+         "median": median}
         for name, done, stopped, median in (
             ("paper", 1, {}, {"relative_rmse_percent": 5.0}), ("none", 0, {"START above 100 N": 1}, {}))])
     told = capsys.readouterr().out
