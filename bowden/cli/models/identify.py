@@ -76,10 +76,12 @@ def _tell_fit(output: Path, found: FittedBench) -> None:
 
 
 def _tell_rig(found: FittedBench) -> None:
+    from trial.report.words import quantity
+
     print(f"A rig of another kind than the bench; terms found: {', '.join(found.rig or ()) or 'none'}.")
     terminal.table("measured less predicted, on the last part of each trial, which the fit had not seen", (
-        "signal", "RMS", "of a spread of", "unit"), [
-        (name, terminal.number(row["unseen"]), terminal.number(row["spread"]), row["unit"])
+        "signal", "RMS", "of a spread of"), [
+        (name, quantity(row["unseen"], row["unit"]), quantity(row["spread"], row["unit"]))
         for name, row in found.relations.items()])
 
 
