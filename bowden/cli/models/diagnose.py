@@ -216,7 +216,8 @@ def _tell(found: Findings, result: dict[str, Any]) -> None:
         terminal.table("constants of the rig, named or not", ("constant", "unit", "reference", "here", "95 %"), [
             (words(name), unit, reference, here, f"{low} … {high}")
             for name, ((reference, here, low, high), unit) in shown.items()])
-    for warning in found.warnings[found.verdict == "refused" and not found.candidates:]:  # the headline has the reason
+    in_headline = int(found.verdict == "refused" and not found.candidates)  # its first warning is the reason
+    for warning in found.warnings[in_headline:]:
         terminal.sentence(f"Warning: {warning}")
 
 
