@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Final
 
@@ -90,6 +90,13 @@ def decide(found: TrialModes) -> Decision:
         among += tuple(n for n in _set(further, (chosen[1],)) if n not in among)
     return Decision("found" if len(among) == len(chosen) else "ambiguous", chosen, among, part, gains,
                     misfit, lacking(misfit, misfits(found, found.null)))
+
+
+def of_best(decided: Decision) -> Decision:
+    """Return a decision for two effects without the second one, which did not change beside the first."""
+    chosen = decided.chosen[:1]
+    among = tuple(name for name in _set(decided.gains, chosen) if name != decided.chosen[1])
+    return replace(decided, verdict="found" if len(among) == 1 else "ambiguous", chosen=chosen, among=among)
 
 
 def chosen_variants(found: TrialModes, chosen: Sequence[str]) -> list[Variant]:

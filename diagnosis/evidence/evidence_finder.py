@@ -144,13 +144,15 @@ class EvidenceFinder:
         evidence = {"log_bayes_factors": decided.gains, "named_nats": decision.threshold(self.model),
                     "misfit": decided.misfit, "error_n": error,
                     "shifts": _shifts(at, reference, found)}
+        variants = decision.chosen_variants(found, decided.chosen)
+        causes = [self._cause(name, at, bench, gain.percent if gain is not None else 0.0)
+                  | {"at_peak_n": _at_peak(found, at, variant), "probability": _probability(found, decided, name)}
+                  for name, variant in zip(decided.chosen, variants, strict=True)]
+        if len(causes) > 1 and _unchanged(causes[1]):
+            causes, decided = causes[:1], decision.of_best(decided)
         experiment = _experiment(decided.among) if decided.verdict == "ambiguous" else None
         return Findings(
-            decided.verdict, [self._cause(name, at, bench, gain.percent if gain is not None else 0.0)
-                              | {"at_peak_n": _at_peak(found, at, variant),
-                                 "probability": _probability(found, decided, name)} for name, variant in zip(
-                                  decided.chosen, decision.chosen_variants(found, decided.chosen), strict=True)],
-            list(decided.among),
+            decided.verdict, causes, list(decided.among),
             experiment, relations, said, _limits(found, bench), reference=self.kind,
             simulation={"before_rms_n": error["before"], "session_rms_n": error["session"],
                         "after_rms_n": None if gain is None else error["after"],
@@ -252,6 +254,11 @@ class EvidenceFinder:
                                "high": max(min(value + half, high), low), "unit": unit}
             before[parameter] = was
         return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "was": before, "gain_percent": gain}
+
+
+def _unchanged(cause: Mapping[str, Any]) -> bool:
+    """Return whether an effect's parameters are what they were: its direction only bends that of another effect."""
+    return all(p["low"] <= cause["was"][name] <= p["high"] for name, p in cause["parameters"].items())
 
 
 def _probability(found: TrialModes, decided: Decision, name: str) -> float:

@@ -226,6 +226,29 @@ def test_the_shift_of_a_constant_is_said_though_nothing_is_named() -> None:
     assert shift["from"] == pytest.approx(GRAVITY_NM, rel=0.01)
 
 
+def turning(seed: int, viscous: float, slower: float = 1.0) -> Table:
+    """Return an axis with an inertia of 0.02 kg·m², Dahl's friction of 0.3 N·m and `viscous` N·m·s/rad."""
+    time = np.arange(0.0, 24.0, 0.002)
+    angle = np.sin(3.1 * slower * time) + 0.3 * np.sin(7.2 * time)
+    speed = np.gradient(angle, time)
+    friction = np.zeros(time.size)
+    for k, step in enumerate(np.diff(angle)):
+        friction[k + 1] = friction[k] + (step - abs(step) * friction[k]) / 0.01
+    torque = 0.02 * np.gradient(speed, time) + 0.3 * friction + viscous * speed
+    noise = 0.003 * np.random.default_rng(seed).standard_normal(time.size)
+    return table(f"axis_{seed}", {"time_s": time, "servo_position_rad": angle, "servo_torque_nm": torque + noise})
+
+
+@pytest.mark.slow
+def test_a_large_change_of_viscous_friction_is_not_said_as_two() -> None:
+    finder = known([turning(1, 0.05), turning(2, 0.05, 1.3)])
+    found = finder.diagnose([turning(3, 0.12)])
+    assert [cause["effect"] for cause in found.causes] == ["drive_viscous"]
+    assert (found.verdict, found.rivals) == ("found", ["drive_viscous"])
+    told = found.causes[0]["parameters"]["drive_viscous"]
+    assert told["low"] < 0.12 < told["high"]
+
+
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(("rubs", "share"), [(24.0, 2.0), (6.0, 0.5)])
 def test_friction_that_doubles_or_halves_is_named(rubs: float, share: float) -> None:
