@@ -85,19 +85,19 @@ def _fault(judged: Mapping[str, Figures], least: Mapping[str, float]) -> str:
     if all((f.low or 0.0) <= 0.0 for f in judged.values()):
         return "no gain on held-out cycles that whole cycles confirm"
     if all((f.rmse_session or 0.0)**2 - (f.rmse_after or 0.0)**2 < least[name] for name, f in judged.items()):
-        return f"the best term gains less than {DOUBTED:g} times the variance of model error and discrepancy"
+        return "the best term gains less than the variance of model error and discrepancy"
     return ""
 
 
 def _least(reference: ReferenceFit, observed: SessionData, prior: Gaussian) -> dict[str, float]:
-    """Return `DOUBTED` times the variance of model error and discrepancy in the trial's motion by judged signal, N².
+    """Return the variance of model error and discrepancy in the trial's motion by judged signal, N².
 
     A discrepancy of the session repeats in each cycle, so that held-out cycles confirm a term that describes it.
     """
     growth, count = float(np.mean(observed.growth)), observed.features.shape[1]
     repeats = np.einsum("nk,kl,nl->n", observed.features, prior.covariance[-count:, -count:], observed.features)
-    return {name: DOUBTED * (growth * float(np.mean(reference.model_error[reference.outputs.index(name)])) + float(
-        np.mean(observed.part(repeats, observed.outputs.index(name)))))
+    return {name: growth * float(np.mean(reference.model_error[reference.outputs.index(name)])) + float(
+        np.mean(observed.part(repeats, observed.outputs.index(name))))
         for name in observed.model.judged if name in observed.outputs}
 
 
