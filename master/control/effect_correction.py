@@ -126,6 +126,25 @@ def correction(calibration: Calibration, gait: GaitTable, rest: Effects, terms: 
     return Correction(rope_m, knee_rad, start_gain, start_more_n, float(home.start_gain[0] / homed.start_gain[0]))
 
 
+def homed_stretch(calibration: Calibration, rest: Effects, start_n: Array, period_s: float) -> Array:
+    """Return the stretch, m, by the effects `rest` in homing's pull and release, from its START tensions, N.
+
+    Homing would else take it for friction and softness: a creep of 0.25 s for 35 % more friction.
+    """
+    still, knee = np.zeros(start_n.size), np.full(start_n.size, KNEE_AT_FIT)
+    fabric = np.asarray(fabric_exponent(calibration, knee))
+    way = np.where(np.arange(start_n.size) <= np.argmax(start_n), 1.0, -1.0)
+    force = np.maximum(start_n, 0.0) * np.exp(-way * (calibration.cable_exponent + fabric))
+    path = np.asarray(stretch(calibration, force))
+    course = Trajectory(
+        progress=still, desired_n=force, tension_n=start_n, knee_rad=knee, knee_rad_s=still, rope_m=path,
+        rope_m_s=np.gradient(path, period_s), time_s=np.arange(start_n.size) * period_s, rope_slip=way, fabric_slip=way,
+        cable_exponent=still + calibration.cable_exponent, fabric_exponent=fabric, start_extra_n=still, stretch_m=path,
+        rope_extra_m=still, knee_extra_rad=still, start_gain=still + 1.0, start_offset_n=still, lead_s=0.0)
+    known = {"mu2": calibration.mu2, "fabric_wrap": calibration.fabric_wrap}
+    return np.asarray(compensate(course, rest, known).stretch_m - path)
+
+
 def _exponent(course: Trajectory) -> Array:
     return course.cable_exponent * course.rope_slip + course.fabric_exponent * course.fabric_slip
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -19,7 +20,7 @@ from estimation.transfer.homing_fit import HomingFit
 from master import settings
 from master.control import controller, gait_phase
 from master.control.controller import Conditions, Controller, ControllerInput, RecordedTargets, Repeated
-from master.control.effect_correction import Effects, calibrated, correction
+from master.control.effect_correction import Effects, calibrated, correction, homed_stretch
 from master.control.extended import TARGET_CYCLES
 from master.control.gait_table import GaitTable, samples_of, tabulate
 from master.control.stability import derated
@@ -194,6 +195,7 @@ class PreparedExperiment:
         self.strides = drawn_walk(experiment, self.table, self.first, self.rest)
         self.phase = gait_phase.configure(knee, 1.0 / rate_hz, experiment.walk.departure_rad) if (
             experiment.walk.felt) else None
+        self.stretched = partial(homed_stretch, calibration, rest) if rest else None
         self.undone = {id(table): correction(
             calibration, table, rest, experiment.terms, adapts=self.kind.uses_homing_fit)
                        for table in (self.table, self.idle, *self.rising)}
@@ -276,7 +278,7 @@ class PreparedExperiment:
         """Home the servo; its drives are enabled."""
         undone = self.undone[id(self.table)]
         self.homed = home(exchange, self.calibration, self.homing, self.experiment.gait.idle_slack_m,
-                          1.0 if undone is None else undone.home_gain)
+                          1.0 if undone is None else undone.home_gain, self.stretched)
 
     def watch(self, exchange: Exchange) -> None:
         """Start the comparison of the coming gait with the desired force and with its own first cycles."""

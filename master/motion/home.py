@@ -26,6 +26,7 @@ from master.network.sdo import SdoError
 from master.settings import Homing
 from physics import laws, stretch
 from physics.calibration import NOMINAL, Calibration, nominal
+from physics.laws import Array
 
 STRETCH: Final = 1.6
 """Greatest ratio between homing's stretch and an identified bench's: day and creep change it by a tenth."""
@@ -147,13 +148,14 @@ Row = tuple[float, float, float]
 
 
 def home(
-    exchange: Exchange, calibration: Calibration, homing: Homing, slack_m: float, start_gain: float = 1.0, *,
-    guessed: bool = False,
+    exchange: Exchange, calibration: Calibration, homing: Homing, slack_m: float, start_gain: float = 1.0,
+    stretched: Callable[[Array, float], Array] | None = None, *, guessed: bool = False,
 ) -> HomingResult:
     """Home the servo, and slacken the rope by `slack_m` beyond the loss of its tension.
 
-    Both drives must be enabled; `start_gain` is START's reading of 1 N. `guessed`: the calibration is the starting
-    point of an identification, so another stretch is no contradiction. Raises `BringUpError` if the rope does not
+    Both drives must be enabled; `start_gain` is START's reading of 1 N. `stretched`: stretch, m, by effects beyond the
+    calibration, of the loop's tensions, N, and its period, s. `guessed`: the calibration is the starting point of an
+    identification, so another stretch is no contradiction. Raises `BringUpError` if the rope does not
     tighten, the loop has no crossing, or homing contradicts the calibration or itself.
     """
     knee_home = float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
@@ -161,6 +163,11 @@ def home(
     swing_to(exchange, knee_home, calibration, homing)
     reading = slack_reading(exchange)
     pulled, released = _loop(exchange, homing)
+    if stretched is not None:
+        rows = pulled + released
+        more = stretched(np.array([row[0] for row in rows]) / start_gain, exchange.wire.period_ns * 1e-9)
+        rows = [(start_n, rope_m - of, knee) for (start_n, rope_m, knee), of in zip(rows, more.tolist(), strict=True)]
+        pulled, released = rows[:len(pulled)], rows[len(pulled):]
     at = [crossing(rows, start_gain * calibration.home_preload) for rows in (pulled, released)]
     if unlike_packaged(calibration) and not guessed:
         _refuse_other_swing(exchange, calibration, homing, sum(at) / 2.0, start_gain)

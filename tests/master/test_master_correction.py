@@ -177,10 +177,14 @@ def tracked(folder: Path, at_work: Effects, known: Effects, name: str) -> float:
     ({"start_gain": {"start_gain": 1.06}}, "extended", 0.5),
     pytest.param({"start_gain": {"start_gain": 1.06}}, "paper", 0.3, marks=pytest.mark.exhaustive),
     pytest.param({"cable_friction": {"mu1": 0.16}}, "extended", 0.2, marks=pytest.mark.slow),
+    ({"fabric_creep": {"creep_compliance": 4e-5, "creep_time": 0.25}}, "extended", 0.8),
 ])
 def test_knowing_the_effect_mends_what_it_does_to_the_force(
     effects: Effects, name: str, least: float, tmp_path: Path
 ) -> None:
-    """Share of the tracking error that knowing takes away; measured 0.71, 0.50 and 0.49 at a 2 s period."""
+    """Share of the tracking error that knowing takes away; measured 0.71, 0.50, 0.49 and 0.92.
+
+    Of a creep nothing was taken away while homing took its loop for friction.
+    """
     before, after = tracked(tmp_path, effects, {}, name), tracked(tmp_path, effects, effects, name)
     assert after < (1.0 - least) * before
