@@ -140,7 +140,8 @@ def homed_stretch(calibration: Calibration, rest: Effects, start_n: Array, perio
         progress=still, desired_n=force, tension_n=start_n, knee_rad=knee, knee_rad_s=still, rope_m=path,
         rope_m_s=np.gradient(path, period_s), time_s=np.arange(start_n.size, dtype=np.float64) * period_s,
         rope_slip=way, fabric_slip=way, cable_exponent=still + calibration.cable_exponent, fabric_exponent=fabric,
-        start_extra_n=still, stretch_m=path, rope_extra_m=still, knee_extra_rad=still, start_gain=still + 1.0, start_offset_n=still, lead_s=0.0)
+        start_extra_n=still, stretch_m=path, rope_extra_m=still, knee_extra_rad=still, start_gain=still + 1.0,
+        start_offset_n=still, lead_s=0.0)
     known = {"mu2": calibration.mu2, "fabric_wrap": calibration.fabric_wrap}
     return np.asarray(compensate(course, rest, known).stretch_m - path)
 
