@@ -1,6 +1,6 @@
 """Nights of `bowden mend` on benches of the family: how much of the lost error is back, by true END.
 
-    python -m tests.hidden.nights_run [--aside] [--most N] [--rows FILE] [--page]
+    python -m tests.hidden.nights_run [--aside] [--first N] [--most N] [--rows FILE] [--page]
 
 A night: two reference trials of a bench by its calibration of docs/unseen.csv, then one hidden effect, one change that
 no catalogue has, or none, and `bowden mend`.  `mend` sees END's sensor alone; true END judges it here.  Each row of
@@ -127,6 +127,7 @@ def main(arguments: Sequence[str]) -> None:
     """Run the nights that FILE lacks, print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--aside", action="store_true", help="serials that nothing was tuned on")
+    parser.add_argument("--first", type=int, default=0, help="number of the first night")
     parser.add_argument("--most", type=int, default=SINGLES + OUTSIDE + HEALTHY, help="only so many, from the first on")
     parser.add_argument("--rows", type=Path, default=OUT / "nights.jsonl")
     parser.add_argument("--page", action="store_true", help=f"write the table into {PAGE.name}")
@@ -134,7 +135,7 @@ def main(arguments: Sequence[str]) -> None:
     given.rows.parent.mkdir(exist_ok=True)
     kept = [json.loads(line) for line in given.rows.read_text("utf-8").splitlines()] if given.rows.exists() else []
     done = {(row["serial"], row["hidden"]) for row in kept}
-    for serial, hidden in list(nights(given.aside))[:given.most]:
+    for serial, hidden in list(nights(given.aside))[given.first:][:given.most]:
         if (serial, hidden) in done:
             continue
         with tempfile.TemporaryDirectory() as folder:
@@ -143,7 +144,7 @@ def main(arguments: Sequence[str]) -> None:
             file.write(json.dumps(row) + "\n")
         kept.append(row)
         print(*described(row), sep=" | ", flush=True)
-    text = page(kept, f"{'--aside ' if given.aside else ''}--most {len(kept)}")
+    text = page(kept, f"{'--aside ' if given.aside else ''}--first {given.first} --most {len(kept)}")
     print(text)
     if given.page:
         put(PAGE, "nights", text)
