@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -53,9 +53,9 @@ def of_trials(trials: Sequence[Path], person: Path) -> tuple[list[BenchBound], s
     """Return the bounds that are the bench's, and the text of the person's file with them.
 
     A bound of the person's file that the bench needs larger becomes `BENCH_MARGIN` of the largest value, rounded up to
-    three digits; no bound becomes smaller.  Raises `InputError` for a person's file that cannot be used, for a trial
-    that was stopped, moved a limb, has no gait or is slower than `SLOWEST_HZ`, and for a bound beyond the
-    range of a person's file.
+    three digits; no bound becomes smaller.  Raises `InputError` for a person's file that cannot be used, and for a
+    bound beyond its range.  So it does for a trial that was stopped, had its drives off, moved a limb, has no gait or
+    is slower than `SLOWEST_HZ`.
     """
     try:
         bounds, text = safety_monitor.read(person), person.read_text(encoding="utf-8")
@@ -73,12 +73,17 @@ def of_trials(trials: Sequence[Path], person: Path) -> tuple[list[BenchBound], s
             raise InputError(f"{trials[0]}: {key} would be {after:g} {unit} ({BENCH_MARGIN} times {most:.3g}), a "
                              f"person's file may have {greatest:g}; run the bench with less force or more slowly.")
         found.append(BenchBound(key, most, before, after))
-        text = re.sub(rf"(?m)^(\s*{key}\s*=\s*)[^\s#]+", rf"\g<1>{after:g}", text)
-    checked(tomllib.loads(text), str(person), bounds.sha256)
+        if after > before:
+            text = re.sub(rf"(?m)^(\s*{key}\s*=\s*)[^\s#]+", rf"\g<1>{after:g}", text)
+    written = checked(tomllib.loads(text), str(person), bounds.sha256)
+    for bound in found:
+        if getattr(written, bound.key) != bound.after:  # a key in quotes, or two on a line
+            raise InputError(f"{person}: the line of {bound.key} cannot be rewritten; write it as "
+                             f"{bound.key} = {bound.before:g}, on a line of its own.")
     return found, text
 
 
-def _paths(file: Path) -> Iterator[TrialFile]:
+def _paths(file: Path) -> list[TrialFile]:
     from trial import read
 
     trial = read.open_file(file)
@@ -86,9 +91,11 @@ def _paths(file: Path) -> Iterator[TrialFile]:
     if trial.result is None or reason:
         raise InputError(f"{file}: {f'was stopped ({reason})' if reason else 'has no end'}, so that its largest values "
                          "are not those of a healthy trial; name one that was completed.")
+    if trial.metadata.get("dry_run") == "true":
+        raise InputError(f"{file}: is a dry run, in which the drives were off; name a trial that moved the bench.")
     if LIMB.search(trial.attachments.get("bench.toml", b"").decode("utf-8", "replace")):
         raise InputError(f"{file}: moved a limb ([record] limb); record a trial of the bench with a leg model.")
-    return iter([read.one_path(trial, name) for name in read.path_names(trial)] or [trial])
+    return [read.one_path(trial, name) for name in read.path_names(trial)] or [trial]
 
 
 def _values(trial: TrialFile) -> dict[str, float]:

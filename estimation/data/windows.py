@@ -30,7 +30,7 @@ def bounded(given: Table, most_s: float = 120.0) -> Table:
     """Return a trial; of one longer than `most_s`, twelve windows that are as long together, spread evenly over it.
 
     The time between two windows is cut to a second, a gap after which the friction states are unknown again.  A note
-    says so.  A trial whose time stamps do not rise, or have fewer than 100 rows a window, is returned whole.
+    states this.  A trial whose time stamps do not rise, or have fewer than 100 rows a window, is returned whole.
     """
     found = None if given.seams else _windows(given["time_s"], most_s)
     if found is None:

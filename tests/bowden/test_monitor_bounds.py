@@ -28,9 +28,10 @@ def person(here: Path) -> Path:
 
 
 def recorded(path: Path, rope_m: Any, start_n: Any, *, rate_hz: float = 1000.0, gait: bool = True,
-             bench: str = "", reason: str | None = None) -> Path:
+             bench: str = "", reason: str | None = None, dry_run: bool = False) -> Path:
     """Write a trial with this course of rope and START."""
-    recorder = Recorder(path, metadata={}, attachments={"bench.toml": bench.encode()}, threaded=False)
+    recorder = Recorder(path, metadata={"dry_run": str(dry_run).lower()},
+                        attachments={"bench.toml": bench.encode()}, threaded=False)
     values = np.zeros((len(rope_m), len(SIGNALS)))
     values[:, NAMES.index("servo_position_m")] = rope_m
     values[:, NAMES.index("tension_start_n")] = start_n
@@ -78,6 +79,7 @@ def test_each_bound_is_a_margin_above_what_the_monitor_would_see(
     ({"gait": False}, "has no gait at 333 control cycles a second or more"),
     ({"rate_hz": 0.9 * SLOWEST_HZ}, "has no gait at 333 control cycles a second or more"),
     ({"bench": '[record]\nlimb = "P03, left"\n'}, "moved a limb ([record] limb)"),
+    ({"dry_run": True}, "is a dry run, in which the drives were off"),
     ({"reason": "START beyond its limit"}, "was stopped (START beyond its limit)"),
     ({"start_n": 100.0}, "start_n would be 125 N (1.25 times 100), a person's file may have 120"),
 ])
@@ -88,3 +90,12 @@ def test_a_trial_that_says_nothing_of_the_healthy_bench_is_refused(
     assert (status, out, (here / "P.toml").exists()) == (2, "", False)
     assert "own.mcap: " in err
     assert sentence in err
+
+
+def test_a_bound_that_cannot_be_rewritten_is_not_said_to_be_larger(
+        bowden: Callable[..., Any], person: Path, here: Path) -> None:
+    person.write_text(person.read_text().replace("start_n = 45.0", '"start_n" = 45.0'))
+    recorded(here / "own.mcap", np.zeros(1000), 50.0)
+    status, out, err = bowden("monitor-bounds", "own.mcap", "--person", person, "-o", "P.toml")
+    assert (status, out, (here / "P.toml").exists()) == (2, "", False)
+    assert "person.toml: the line of start_n cannot be rewritten" in err

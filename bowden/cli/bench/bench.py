@@ -76,8 +76,8 @@ NewPersonFile = Annotated[Path, options.new_file("The person's file to write.", 
 def monitor_bounds(trials: BenchTrials, person: PersonFile, output: NewPersonFile) -> CommandAnswer:
     """Set the safety monitor's bounds that are the bench's.
 
-    START, the rise of a tension and the speed of the rope become at least 1.25 times what the trials reached; no bound
-    becomes smaller.  Whoever signed the person's file signs the new one.
+    START, the rise of a tension and the speed of the rope become at least 1.25 times the largest values of the trials;
+    no bound becomes smaller.  Whoever signed the person's file signs the new one.
 
     Example: bowden monitor-bounds bench.mcap --person person.toml -o P-017.toml
     """
