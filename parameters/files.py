@@ -172,7 +172,7 @@ def _fresh(path: Path) -> Path:
     try:
         mask = os.umask(0)
         os.umask(mask)
-        os.fchmod(number, 0o666 & ~mask)
+        os.chmod(number if os.chmod in os.supports_fd else name, 0o666 & ~mask)
     finally:
         os.close(number)
     return Path(name)

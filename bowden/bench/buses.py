@@ -178,8 +178,12 @@ def _open(arguments: dict[str, Any]) -> Any:
     defaults."""
     import can
 
+    from master.network import doctor, host_computer
+
     if arguments["interface"] != KERNEL:
         return can.Bus(**arguments)
+    if not host_computer.IS_LINUX:
+        raise InputError(f"interface {KERNEL}: is a part of Linux alone; {doctor.OTHER_INTERFACE}.")
     from master.network.recorded_bus import RecordedBus
     from master.network.socketcan import KernelBus
 

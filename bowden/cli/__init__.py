@@ -17,6 +17,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise SystemExit(2)
     from bowden.cli.app import main as run
 
+    if arguments is None:
+        for stream in (sys.stdout, sys.stderr):
+            stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # a console of cp1252 has no σ
     try:
         run(arguments)
     finally:

@@ -32,7 +32,7 @@ READY, CYCLE_DONE, STEP, END, DIAGNOSIS, REFUSED = "ready", "cycle", "step", "en
 
 def run(path: Path, bench: WatchedBench, words: Connection, shown: bool) -> None:
     """Watch until the trial has ended, in this process; `words`: to and from the trial."""
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, AttributeError):  # Windows has no niceness
         os.nice(NICE)
     with contextlib.suppress(BrokenPipeError, EOFError, KeyboardInterrupt):
         try:

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import select
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -34,6 +36,7 @@ GOOD_CLOCKS: Final = frozenset({"tsc", "arch_sys_counter", "kvm-clock"})
 WANTED_BUFFER: Final = 4 << 20
 QUEUE: Final = 64
 """Frames that the interface's transmit queue should hold: a bring-up's longest burst, and room."""
+OTHER_INTERFACE: Final = "name the adapter's own interface of python-can: --interface pcan, kvaser, slcan, …"
 TROUBLED: Final = frozenset({"ERROR-WARNING", "ERROR-PASSIVE", "BUS-OFF", "STOPPED"})
 
 
@@ -48,6 +51,9 @@ class DoctorFinding(NamedTuple):
 
 def interface(channel: str, bitrate: int) -> Iterator[DoctorFinding]:
     """The SocketCAN interface: present, CAN, up, its bit rate, its controller's state and its queue."""
+    if not host_computer.IS_LINUX:
+        yield DoctorFinding("interface", False, "SocketCAN is a part of Linux alone", OTHER_INTERFACE)
+        return
     at = NET / channel
     setup = f"sudo ip link set {channel} up type can bitrate {bitrate} restart-ms 100"
     if not at.exists():
@@ -91,6 +97,9 @@ def _controller(channel: str, bitrate: int, data: dict[str, Any], setup: str) ->
 
 def computer() -> Iterator[DoctorFinding]:
     """Check kernel, clock source, permissions for a cycle in wall time, and receive buffers."""
+    if not host_computer.IS_LINUX:
+        yield DoctorFinding("kernel", True, f"{platform.system()} {platform.release()}: no SocketCAN, no real time")
+        return
     preempt = "PREEMPT_RT" in os.uname().version or _read(Path("/sys/kernel/realtime")) == "1"
     yield DoctorFinding("kernel", True, f"Linux {os.uname().release}, {'PREEMPT_RT' if preempt else 'not PREEMPT_RT'}")
     source = _read(CLOCK_SOURCE)
@@ -114,11 +123,13 @@ def _permissions() -> Iterator[DoctorFinding]:
 def jitter(seconds: float) -> DoctorFinding:
     """Measure the delay of this computer's wake-ups from waits as in the cycle, over `seconds` of wall time."""
     period_s, goal_s, late = 1e-3, 250e-6, []
+    # select on Windows waits for sockets alone
+    wait = partial(select.select, (), (), ()) if host_computer.IS_LINUX else time.sleep
     with host_computer.prepared():
         due = time.perf_counter() + period_s
         end = due + seconds
         while due < end:
-            select.select((), (), (), max(0.0, due - time.perf_counter()))
+            wait(max(0.0, due - time.perf_counter()))
             late.append(time.perf_counter() - due)
             due += period_s
     late.sort()

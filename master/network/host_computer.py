@@ -25,6 +25,8 @@ SWITCH_S: Final = 100e-6
 ISOLATED: Final = Path("/sys/devices/system/cpu/isolated")
 _MCL_CURRENT_FUTURE_ONFAULT: Final = 1 | 2 | 4
 _PR_SET_THP_DISABLE: Final = 41
+IS_LINUX: Final = hasattr(os, "sched_setscheduler")
+"""Whether the requests of a real-time cycle exist here; macOS and Windows have none of them."""
 HARDWARE_STAMPS: Final = 1 << 2 | 1 << 6
 """Flags of SO_TIMESTAMPING: received frames are stamped by the adapter, and its stamps are handed over raw."""
 _SIOCETHTOOL, _ETHTOOL_GET_TS_INFO = 0x8946, 0x41
@@ -37,12 +39,14 @@ def prepared() -> Iterator[list[str]]:
     refused: list[str] = []
     with ExitStack() as stack:
         stack.enter_context(collector_frozen())
-        for ask in (_interpreter, _pages, _memory, _affinity, _scheduling):
+        for ask in (_interpreter, *((_pages, _memory, _affinity, _scheduling) if IS_LINUX else ())):
             try:
                 stack.callback(ask())
             except OSError as error:
                 refused.append(f"{_NAMES[ask]} is not permitted ({error.strerror}); type "
                                f"{PERMIT} {os.path.realpath(sys.executable)}, or run as root.")
+        if not IS_LINUX:
+            refused.append("This system has no real-time scheduling: cycles are late whenever other programs run.")
         yield refused
 
 
