@@ -5,8 +5,11 @@ Implementations: the force path of the bench (`path_model`) and a rig of another
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from types import MappingProxyType
 from typing import Any
 
@@ -140,6 +143,27 @@ class ForwardModel(ABC):
         return np.concatenate([errors[name] for name in trial.outputs])
 
 
+_STEP: ContextVar[Callable[[], None] | None] = ContextVar("_STEP", default=None)
+
+
+@contextmanager
+def steps_counted(tell: Callable[[int], None]) -> Iterator[None]:
+    """Call `tell` with the number of steps so far at each step of the fits in this context, whose length is unknown."""
+    numbers = itertools.count(1)
+    token = _STEP.set(lambda: tell(next(numbers)))
+    try:
+        yield
+    finally:
+        _STEP.reset(token)
+
+
+def step_taken() -> None:
+    """Count one step of a fit: a linearised trial, or one simulation of all trials."""
+    tell = _STEP.get()
+    if tell is not None:
+        tell()
+
+
 def predicted(model: ForwardModel, q: Array, trial: Recording) -> Array:
     """Return the predicted data of one coordinate vector."""
     return np.asarray(model.predict(q[:, None], trial)[0])
@@ -151,6 +175,7 @@ def jacobian(model: ForwardModel, q: Array, trial: Recording, free: Sequence[int
 
     `most`: data of all sets that are simulated at once, which bounds the memory to some ten times their 2 MB.
     """
+    step_taken()
     # the first set of each batch is `q`, from whose step the solver starts the others: results do not depend on `most`
     count, parts = max(8, most // trial.data.size), []
     for at in range(0, len(free), count):

@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 from estimation import simulation
 from estimation.data.table import Table
 from estimation.fitted_quantities import FittedQuantity, quantities
+from estimation.forward_model import step_taken
 from estimation.joint_fit import fit_reference
 from estimation.likelihood_data import LOWPASS_HZ
 from estimation.path_model import PATH_MODEL
@@ -125,6 +126,7 @@ def fitted(trials: Sequence[Table], fit: ReferenceFit, seconds: float = 6.0, ste
         return told
 
     def residual(u: Array) -> Array:
+        step_taken()
         x = mean + scale * (u - 10.0)
         return np.concatenate([*(s.residual(values(x, k)) for k, s in enumerate(simulated)), u - 10.0])
 

@@ -136,6 +136,21 @@ progress, waiting = TERMINAL.running, TERMINAL.waiting
 
 
 @contextmanager
+def fitting(what: str) -> Iterator[Callable[[str], None]]:
+    """Show a spinner with the number of steps of the fits inside; yields a function of the present work."""
+    from estimation.forward_model import steps_counted
+
+    present = [what]
+    with waiting(what) as update:
+        def show(work: str) -> None:
+            present[0] = work
+            update(0.0, work)
+
+        with steps_counted(lambda count: update(0.0, f"{present[0]}, step {count}")):
+            yield show
+
+
+@contextmanager
 def _drawn(text: str, total: float | None, shown: bool) -> Iterator[Callable[..., None]]:
     """Show a bar of length `total`, or a spinner; silent unless `shown` and stderr is a terminal."""
     if quiet() or not (shown and sys.stderr.isatty()):

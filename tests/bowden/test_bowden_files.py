@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,6 +17,7 @@ import pytest
 
 import trial
 from bowden.sweep import row_trial, rows
+from tests.bowden.test_missing_columns import table
 from trial.convert.frames import rows_of
 from trial.record import TrialContent, write
 
@@ -84,6 +86,18 @@ def test_two_trials_side_by_side(recorded: Path, bowden: Bowden) -> None:
 def test_a_terminal_sees_how_far_it_is_and_json_sees_nothing(recorded: Path, words: tuple[str, ...]) -> None:
     assert "%" in on_a_terminal(*words)
     assert on_a_terminal(*words, "--overwrite", "--json") == ""
+
+
+@pytest.mark.parametrize("words", [
+    ("fit", "good.csv", "-o", "model.toml"), ("diagnose", "again.csv", "--healthy", "good.csv"),
+], ids=lambda words: words[0])
+@pytest.mark.slow
+def test_a_terminal_sees_the_steps_of_a_fit(here: Path, words: tuple[str, ...]) -> None:
+    table(here / "good.csv")
+    table(here / "again.csv", phase=0.5)
+    steps = [int(number) for number in re.findall(r"step (\d+)", on_a_terminal(*words))]
+    assert steps == sorted(steps)
+    assert len(set(steps)) > 2
 
 
 def on_a_terminal(*words: str) -> str:

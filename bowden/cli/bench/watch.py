@@ -141,7 +141,7 @@ def _file(trial: Path, bench: WatchedBench, seconds: float | None) -> CommandAns
     from bowden.watch import file_watch
 
     over = ending.after(seconds)
-    with terminal.waiting("fitting the reference trials"):
+    with terminal.fitting("fitting the reference trials"):
         watched = file_watch.FileWatch(trial, bench)
     cycles = []
     for verdict in _looked(watched, over):
@@ -150,7 +150,7 @@ def _file(trial: Path, bench: WatchedBench, seconds: float | None) -> CommandAns
             print(watched.told(verdict), flush=True)
     result: dict[str, Any] = {"trial": str(trial), "cycles": cycles, "diagnosis": None}
     if watched.closed:
-        with terminal.waiting("diagnosing the whole trial"):
+        with terminal.fitting("diagnosing the whole trial"):
             result["diagnosis"] = file_watch.as_json(watched.diagnosis())
     return _answer(result)
 

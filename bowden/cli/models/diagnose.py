@@ -41,8 +41,6 @@ Effects = Annotated[list[Path] | None, option(
     "Effects of your own, TOML, beside those of the catalogue; repeatable.", metavar="FILE")]
 Noise = Annotated[float | None, option("With --plan: noise of both tension sensors, 1σ.", metavar="N")]
 
-READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
-"""Shares of the diagnosis that are complete when reading, searching and writing begin."""
 ENTERED = ("verdict", "causes", "class", "experiment")
 """Keys of a diagnosis that the logbook stores."""
 
@@ -91,14 +89,13 @@ def diagnose(
     began = time.perf_counter()
     if path is not None and calibration is not None:
         calibration = force_paths.file_of(calibration, path)
-    with terminal.progress("diagnosing") as step:
-        trial_tables, reference_tables, holdout_tables = _read((chosen, references, holdout or []), path, step)
-        step(READING, "fitting the healthy trials" if references else "preparing")
+    with terminal.fitting("diagnosing") as show:
+        trial_tables, reference_tables, holdout_tables = _read((chosen, references, holdout or []), path, show)
+        show("fitting the healthy trials, then the effects")
         finder = Finder(calibration, lowpass, deviations, own).examine(reference_tables)
-        step(SEARCHING, "fitting the effects, cycle by cycle")
         found = diagnosing.on_its_footing(finder.diagnose(trial_tables, holdout_tables, terms=terms), chosen, path,
                                           measured=bool(calibration or references))
-        step(WRITING, "writing")
+        show("writing")
         if found.verdict != "refused":
             if output is not None:
                 write_whole(output, extension.text(found, trial_tables), overwrite=True)
@@ -186,16 +183,15 @@ def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
             terminal.sentence(f"why not: {todo}" if one["verdict"] == "refused" else f"next: {todo}", "    ")
 
 
-def _read(groups: Sequence[Sequence[Path]], path: str | None, step: Callable[[float, str], None]) -> list[list[Table]]:
+def _read(groups: Sequence[Sequence[Path]], path: str | None, show: Callable[[str], None]) -> list[list[Table]]:
     """Return the tables of each group of files."""
     from bowden.models.diagnosing import table_of
 
-    tables: list[list[Table]] = [[] for _ in groups]
-    files = [(group, file) for group, files in enumerate(groups) for file in files]
-    for done, (group, file) in enumerate(files):
-        step(READING * done / len(files), f"reading {file.name}")
-        tables[group].append(table_of(file, path))
-    return tables
+    def read(file: Path) -> Table:
+        show(f"reading {file.name}")
+        return table_of(file, path)
+
+    return [[read(file) for file in files] for files in groups]
 
 
 def _tell(found: Findings, result: dict[str, Any]) -> None:

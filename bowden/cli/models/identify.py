@@ -47,7 +47,7 @@ def fit(
     from logbook.database import refuse_no_logbook
 
     refuse_no_logbook(logbook)
-    with terminal.waiting("fitting"):
+    with terminal.fitting("fitting"):
         found = bench_fit.fit([table_of(file, path) for file in trials], lowpass)
     write_whole(output, found.text(), overwrite=True)
     if logbook is not None:

@@ -65,7 +65,7 @@ def add_trials(folder: Folder, files: Files, session: options.Session = None) ->
     """
     from bowden.models import logbook_entries
 
-    with terminal.waiting(f"fitting {len(files)} trials"):
+    with terminal.fitting(f"fitting {len(files)} trials"):
         entries = logbook_entries.add(folder, dict.fromkeys(files, session))
     added = [entry._asdict() | {"new": new} for entry, new in entries]
     return CommandAnswer({"logbook": str(folder), "added": added}, [
@@ -106,7 +106,7 @@ def show_bench(
     with open_logbook(folder) as book:
         if trial is not None:
             return _of_trial(book, trial)
-        with terminal.waiting("diagnosing a change"):
+        with terminal.fitting("diagnosing a change"):
             state = diagnosed_state(book, _limits(limit))
         models = book.models()
     return CommandAnswer(state.as_json() | {"models": models},
@@ -125,7 +125,7 @@ def report_bench(folder: Folder, output: options.Page, limit: Limits = None) -> 
 
     output_files.refuse_inputs([output], [folder / FILE])
     with open_logbook(folder) as book:
-        with terminal.waiting("diagnosing a change"):
+        with terminal.fitting("diagnosing a change"):
             state = diagnosed_state(book, _limits(limit))
         size = bench_page.write(book, state, output)
     return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {terminal.size(size)}.")

@@ -111,7 +111,7 @@ def discover(
     if not trials or not healthy:
         raise NothingGivenError("TRIAL… --healthy TRIAL",
                                 "give a trial, and with --healthy one in the reference condition.")
-    with terminal.waiting("fitting the reference trials, then the terms"):
+    with terminal.fitting("fitting the reference trials, then the terms"):
         found = diagnosing.discover(trials, healthy, lowpass_hz=lowpass, path=path)
     written = _write(found, output, picture, promote)
     return CommandAnswer(found.as_json(), lambda: _tell_law(found, written))

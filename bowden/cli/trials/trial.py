@@ -107,7 +107,7 @@ def _performed(prepared: PreparedTrial, network: Any, output: Path, picture: Pat
             progress=terminal.Terminal(shown=not watches),
             watch=[*([] if page is None else [page]), *watches.values()])
         for watch in watches.values():
-            with terminal.waiting("diagnosing the whole trial"):
+            with terminal.fitting("diagnosing the whole trial"):
                 watch.conclude()
         if watches:
             found = {path: watch.as_json() for path, watch in watches.items()}
