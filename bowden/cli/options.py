@@ -12,20 +12,26 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import cache, partial, wraps
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 
 from bowden import output_files
 from bowden.bench import buses, configuration
+from bowden.bench.configuration import drawn, override
+from bowden.cli.deferred import on_first_use
 from bowden.cli.terminal import CommandAnswer, answered
 from parameters import InputError
 from physics.effects.separating_experiments import SCRIPTED
 
-if TYPE_CHECKING:
-    from bowden.watch.file_watch import WatchedBench
+with on_first_use():
+    from bowden.bench.any_node import linked
+    from bowden.models import logbook_entries
+    from bowden.watch.file_watch import WatchedBench, refuse_stop_on
     from master.network.link import Link
+    from physics.effects import catalogue
 
 
 def option(help: str, *names: str, **more: Any) -> Any:
@@ -58,9 +64,7 @@ def _beginning(names: Iterable[str], incomplete: str) -> list[str]:
 
 def effects(incomplete: str) -> list[str]:
     """Return the effects of the catalogue, and "any", that begin as typed."""
-    from physics.effects.catalogue import CATALOGUE
-
-    return _beginning(("any", *CATALOGUE), incomplete)
+    return _beginning(("any", *catalogue.CATALOGUE), incomplete)
 
 
 def experiments(incomplete: str) -> list[str]:
@@ -70,8 +74,6 @@ def experiments(incomplete: str) -> list[str]:
 
 def controllers(incomplete: str) -> list[str]:
     """Return the installed controllers that begin as typed."""
-    from importlib.metadata import entry_points
-
     return _beginning(sorted(entry.name for entry in entry_points(group="bowden.controllers")), incomplete)
 
 
@@ -180,8 +182,6 @@ class StrideOptions(NamedTuple):
 
     def walk(self, section: Any, seed: int | None) -> Any:
         """Return the configuration's `section`, overridden by the options, drawn by `seed`."""
-        from bowden.bench.configuration import drawn
-
         return drawn(_overridden(section, self._asdict()), seed)
 
 
@@ -195,8 +195,6 @@ def _spelling(name: str) -> str:
 
 
 def _overridden(section: Any, given: Mapping[str, Any]) -> Any:
-    from bowden.bench.configuration import override
-
     units = {"peak": "peak_n", "period": "period_s"}
     return override(section, {units.get(name, name): (_spelling(name), value) for name, value in given.items()})
 
@@ -238,9 +236,6 @@ class WatchOptions(NamedTuple):
 def watched_bench(healthy: Sequence[Path] | None, logbook: Path | None, stop_on: Sequence[str] | None = None
                   ) -> WatchedBench:
     """Return a bench for a watch by reference trials or a logbook; raises `InputError` where neither is there."""
-    from bowden.models import logbook_entries
-    from bowden.watch.file_watch import WatchedBench, refuse_stop_on
-
     refuse_stop_on(stop_on or (), "--stop-on")
     if not healthy and logbook is None:
         raise InputError("a watch compares with reference trials; name at least one with --healthy, or a --logbook.")
@@ -275,8 +270,6 @@ class Bus(NamedTuple):
 
     def linked(self) -> AbstractContextManager[Link]:
         """Open the bus, a simulated one as the configuration declares it, and a link that sends no heartbeat."""
-        from bowden.bench.any_node import linked
-
         return linked(self.configured(), self.network().bitrate)
 
     def configured(self) -> buses.BusSettings:

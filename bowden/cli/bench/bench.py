@@ -4,18 +4,31 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, SimulatedOptions, option
 from bowden.cli.terminal import CommandAnswer
+from parameters.files import write_whole
 
-if TYPE_CHECKING:
+with on_first_use():
+    import can
+
+    from bowden.bench import monitor_bounds as bench_bounds
+    from bowden.bench import monitor_program
     from bowden.bench.monitor_bounds import BenchBound
+    from bowden.trials import session
+    from eds.bench import bench_network
+    from master.network.host_computer import prepared
+    from safety_monitor import MonitorNode, read
+    from safety_monitor import person as persons
+    from virtual_bus.bus import BowdenBus
+    from virtual_bus.serve import servable, serve
 
 Faults = Annotated[Path | None, option(
     "Faults of nodes: [[fault]] tables with kind, node, start_s, stop_s.", metavar="FILE")]
@@ -34,13 +47,6 @@ def bench(
 
     Example: bowden bench --interface udp_multicast --channel 239.74.163.2 --for 5
     """
-    import can
-
-    from bowden.trials import session
-    from master.network.host_computer import prepared
-    from virtual_bus.bus import BowdenBus
-    from virtual_bus.serve import servable, serve
-
     chosen = Bus(interface, channel, bitrate, option).chosen()
     arguments = Bus().chosen(simulated).arguments
     injected = () if faults is None else servable(faults)
@@ -81,26 +87,21 @@ def monitor_bounds(trials: BenchTrials, person: PersonFile, output: NewPersonFil
 
     Example: bowden monitor-bounds bench.mcap --person person.toml -o P-017.toml
     """
-    from bowden.bench import monitor_bounds as bench
-    from parameters.files import write_whole
-
     with terminal.waiting("reading the trials"):
-        found, text = bench.of_trials(trials, person)
+        found, text = bench_bounds.of_trials(trials, person)
     write_whole(output, text, overwrite=True)
     return CommandAnswer({"person": str(output), "bounds": {bound.key: bound._asdict() for bound in found}},
                          lambda: _tell_bounds(output, found))
 
 
 def _tell_bounds(output: Path, found: list[BenchBound]) -> None:
-    from bowden.bench.monitor_bounds import BENCH_MARGIN, NAMES
-    from safety_monitor.person import RANGES
-
-    terminal.table("bounds of the bench", ("bound", "unit", "largest", f"× {BENCH_MARGIN}", "before", "now"), [
-        (NAMES[bound.key], RANGES[bound.key][0],
-         *(f"{value:.3g}" for value in (bound.largest, BENCH_MARGIN * bound.largest, bound.before, bound.after)))
+    margin, ranges = bench_bounds.BENCH_MARGIN, persons.RANGES
+    terminal.table("bounds of the bench", ("bound", "unit", "largest", f"× {margin}", "before", "now"), [
+        (bench_bounds.NAMES[bound.key], ranges[bound.key][0],
+         *(f"{value:.3g}" for value in (bound.largest, margin * bound.largest, bound.before, bound.after)))
         for bound in found])
-    raised = [f"{bound.key} {bound.before:g} to {bound.after:g} {RANGES[bound.key][0]}" for bound in found
-              if bound.after > bound.before]
+    raised = [f"{bound.key} {bound.before:g} to {bound.after:g} {ranges[bound.key][0]}"
+              for bound in found if bound.after > bound.before]
     print(f"{output}: " + (f"larger now: {'; '.join(raised)}." if raised else "no bound had to be larger."))
 
 
@@ -120,17 +121,14 @@ def safety_monitor(
 
     Example: bowden safety-monitor person.toml --interface socketcan --channel can0 --board my_board:Board
     """
-    from bowden.bench import monitor_program
-    from eds.bench.bench_network import MASTER, MONITOR, wire
-    from safety_monitor import MonitorNode, read
-
     network = configuration.with_monitor(configuration.read(config)["network"], person)
     bounds, made = read(Path(network.monitor)), monitor_program.board(board)
-    node = MonitorNode(MONITOR, bounds, MASTER, wire(network).drives, made.sensors, made.line)
+    node = MonitorNode(bench_network.MONITOR, bounds, bench_network.MASTER, bench_network.wire(network).drives,
+                       made.sensors, made.line)
     with (ending.interrupted() as ended,
           buses.opened_one(Bus(interface, channel, bitrate, option).chosen(), bitrate or network.bitrate) as bus):
-        terminal.remark(f"safety monitor, node {MONITOR}, bounds of {bounds.person}, SHA-256 {bounds.sha256}; "
-                        "Ctrl-C opens the line.")
+        terminal.remark(f"safety monitor, node {bench_network.MONITOR}, bounds of {bounds.person}, SHA-256 "
+                        f"{bounds.sha256}; Ctrl-C opens the line.")
         found = monitor_program.run(bus, node, time.monotonic_ns, ended)
     return CommandAnswer(
         {"sha256": bounds.sha256, "steps": found.steps, "lost": found.lost, "cause": found.cause or None},

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
-if TYPE_CHECKING:
+with on_first_use():
+    from bowden.trials import setup_checks
+    from eds.bench.bench_network import wire
+    from master.motion import commission
     from master.motion.commission import Procedure
+    from master.network import acknowledge as acknowledging
+    from master.network import bringup, link
+    from master.own_limits import of_path
     from master.settings import Limits
+    from physics.calibration import nominal, read
 
 Sensor = Annotated[str, argument("SENSOR", "start, end, or a declared load cell.")]
 Axis = Annotated[str, argument("AXIS", "servo or knee, or a declared drive.")]
@@ -35,9 +43,6 @@ def home(
 
     Example: bowden home --interface socketcan --channel can0
     """
-    from master.motion import commission
-    from physics.calibration import nominal, read
-
     bench = _Bench(reached, rate, path)
     measured = nominal() if calibration is None else read(calibration)
     homing = configuration.homing(bench.sections["homing"], homing_n)
@@ -55,8 +60,6 @@ def tare(
 
     Example: bowden tare start --interface socketcan --channel can0
     """
-    from master.motion import commission
-
     bench = _Bench(reached, rate, path)
     return bench.perform(f"tare {sensor}", commission.tare(bench.place(sensor)))
 
@@ -70,8 +73,6 @@ def jog(
 
     Example: bowden jog servo --by -2 --speed 5 --interface socketcan --channel can0
     """
-    from master.motion import commission
-
     bench = _Bench(reached, rate, path)
     place = bench.place(axis)
     unit = math.radians(1.0) if place == "knee" else 1e-3
@@ -88,8 +89,6 @@ def release(rate: options.Rate = None, path: options.ForcePath = None, *, reache
 
     Example: bowden release --interface socketcan --channel can0
     """
-    from master.motion import commission
-
     bench = _Bench(reached, rate, path)
     return bench.perform("release", commission.release(bench.sections["homing"], bench.limits()))
 
@@ -117,16 +116,11 @@ class _Bench:
 
     def limits(self) -> Limits:
         """Return the limits of the force path; raises `InputError` for a path that is missing or not declared."""
-        from bowden.trials import setup_checks
-        from master.own_limits import of_path
-
         bench = self.sections["network"].bench
         return of_path(self.sections["limits"], bench, setup_checks.named(bench, self.path))
 
     def perform(self, what: str, procedure: Procedure, *, pulls: str = "") -> CommandAnswer:
         """Run one procedure and return its result; `pulls` is the largest force that it may pull, as a sentence."""
-        from bowden.trials import setup_checks
-
         if pulls and not terminal.quiet():
             terminal.remark(pulls)
         with terminal.waiting(what):
@@ -152,16 +146,12 @@ def acknowledge(reached: Bus) -> CommandAnswer:
 
     Example: bowden acknowledge --interface socketcan --channel can0
     """
-    from eds.bench.bench_network import wire
-    from master.network.acknowledge import acknowledge as release
-    from master.network.bringup import BringUpError
-    from master.network.link import Link, LinkError
-
     network = reached.network()
     with buses.opened_one(reached.chosen(), network.bitrate) as opened:
         try:
-            found = release(Link(opened, buses.clock_of(opened), heartbeat_ms=None), wire(network))
-        except (BringUpError, LinkError) as error:
+            silent = link.Link(opened, buses.clock_of(opened), heartbeat_ms=None)
+            found = acknowledging.acknowledge(silent, wire(network))
+        except (bringup.BringUpError, link.LinkError) as error:
             raise InputError(str(error)) from None
     active = [one for one in found if one.became == "still active"]
     return CommandAnswer({one.drive: one.became for one in found}, [

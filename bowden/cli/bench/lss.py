@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from bowden.cli.app import CommandGroup, app
 from bowden.cli.bench.node import Force, refuse_other_master
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
-if TYPE_CHECKING:
+with on_first_use():
     from eds.cia305 import LssAddress
-    from master.node_access.lss_master import LssMaster
+    from master.node_access import lss_master
+    from master.node_access.lss_master import LssMaster, address_of, refuse_taken
+    from master.node_access.remote_node import nmt
 
 lss = CommandGroup(help="Node ids and bit rates of devices by LSS (CiA 305).", rich_markup_mode=None)
 app.add_typer(lss, name="lss")
@@ -48,9 +51,6 @@ def assign(
 
     Example: bowden lss assign 9 --node 2
     """
-    from master.node_access.lss_master import refuse_taken
-    from master.node_access.remote_node import nmt
-
     with _master(reached, timeout, acts=not force) as master:
         refuse_taken(master.link, node_id)
         address = _choose(master, node, identity)
@@ -113,23 +113,19 @@ def store(
 @contextmanager
 def _master(reached: Bus, timeout_ms: int, *, acts: bool = False) -> Iterator[LssMaster]:
     """Return an LSS master; a refusal by the device is reported as bad input."""
-    from master.node_access.lss_master import LssMaster, LssRefusalError
-
     with reached.linked() as link:
         if acts:
             refuse_other_master(link, False)
         master = LssMaster(link, timeout_ms * 1_000_000)
         try:
             yield master
-        except LssRefusalError as error:
+        except lss_master.LssRefusalError as error:
             raise InputError(f"{error}; see the device's manual, or give it more --timeout.") from None
         finally:
             master.leave()
 
 
 def _choose(master: LssMaster, node: int | None, identity: str | None) -> LssAddress:
-    from master.node_access.lss_master import address_of
-
     return master.choose(node, None if identity is None else address_of(identity))
 
 

@@ -8,19 +8,31 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 from bowden import output_files
 from bowden.bench import buses
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
-if TYPE_CHECKING:
+with on_first_use():
+    import can
+
     from bowden.trials.recording import BusRecording
-    from eds.dictionary import Dictionary
+    from eds.bench.bench_network import wire
+    from eds.bench.bus_load import frame_bits
+    from eds.dictionary import Dictionary, read
+    from eds.error_frames import decode
+    from master.network import link
+    from master.node_access.frame_words import FrameReader, FrameWords, of_wire
+    from master.node_access.signal_files import SignalRecording, write_dbc
+    from trial.convert import candump
+    from trial.convert.python_can import flags_of
+    from trial.mcap_file import cdr
 
 
 KINDS: Final = ("nmt", "sync", "time", "emcy", "pdo", "sdo", "heartbeat", "lss", "other")
@@ -51,11 +63,6 @@ def monitor(
 
     Example: bowden monitor --for 0.2 --only sdo,pdo,emcy
     """
-    from eds.bench.bench_network import wire
-    from eds.bench.bus_load import frame_bits
-    from master.node_access.frame_words import FrameReader, FrameWords, of_wire
-    from master.node_access.signal_files import SignalRecording, write_dbc
-
     network = reached.network()
     kinds, wanted = _kinds(only), _nodes(nodes)
     reader = FrameReader(_dictionaries(eds)) if eds else of_wire(wire(network))
@@ -115,11 +122,7 @@ class MonitoredFrame(NamedTuple):
 
     def in_words(self) -> str:
         """Describe a frame that is no data frame of the base format; "" for one that is."""
-        from trial.mcap_file import cdr
-
         if self.flags & cdr.ERROR:
-            from eds.error_frames import decode
-
             return f"error frame: {decode(self.can_id, self.data)}"
         if self.flags & cdr.REMOTE:
             return f"remote request of {self.dlc} bytes"
@@ -127,23 +130,18 @@ class MonitoredFrame(NamedTuple):
 
 
 def _of_message(message: Any) -> MonitoredFrame:
-    from master.network.link import stamp_ns
-    from trial.convert.python_can import flags_of
-
-    return MonitoredFrame(stamp_ns(message), message.arbitration_id, flags_of(message), message.dlc,
+    return MonitoredFrame(link.stamp_ns(message), message.arbitration_id, flags_of(message), message.dlc,
                           bytes(message.data or b""))
 
 
 def _of_bus(bus: Any, seconds: float | None) -> Iterator[MonitoredFrame]:
     """Yield the frames that a bus receives for so many seconds, or until Ctrl-C."""
-    from master.network.link import FAILURES
-
     clock = buses.clock_of(bus)
     end_ns = None if seconds is None else clock() + round(seconds * 1e9)
     while end_ns is None or clock() < end_ns:
         try:
             message = bus.recv(1.0 if end_ns is None else max(0.0, (end_ns - clock()) / 1e9))
-        except FAILURES as error:
+        except link.FAILURES as error:
             raise InputError(f"bus: {error}; see bowden doctor.") from None
         if message is not None:
             yield _of_message(message)
@@ -165,16 +163,12 @@ def _of_file(source: Path) -> Iterator[MonitoredFrame]:
 
 def _of_candump(lines: Iterable[str], name: str) -> Iterator[MonitoredFrame]:
     """Yield the frames of candump's lines; a line without a time counts as at 0."""
-    from trial.convert import candump
-
     for frame in candump.each(lines, name):
         yield MonitoredFrame(frame.time_ns or 0, frame.can_id, frame.flags, frame.dlc, frame.payload)
 
 
 def _of_log(source: Path) -> Iterator[MonitoredFrame]:
     """Yield the frames of a file that python-can reads."""
-    import can
-
     try:
         reader = can.LogReader(source)
         try:
@@ -188,8 +182,6 @@ def _of_log(source: Path) -> Iterator[MonitoredFrame]:
 
 
 def _dictionaries(given: list[str]) -> dict[int, Dictionary]:
-    from eds.dictionary import read
-
     found = {}
     for text in given:
         node, equals, path = text.partition("=")
@@ -232,9 +224,6 @@ def record(
 
     Example: bowden record --interface virtual --channel bench --for 1 -o bus.mcap
     """
-    from bowden.trials.recording import BusRecording
-    from eds.bench.bench_network import wire
-
     reached = Bus(interface, channel, bitrate, option, config=config)
     network, chosen = reached.network(), reached.chosen()
     output_files.refuse_ending(output, ".mcap", what="a recording")

@@ -6,21 +6,32 @@ import datetime
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from bowden.cli.app import CommandGroup, NothingGivenError, app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
 
-if TYPE_CHECKING:
+with on_first_use():
+    from bowden.bench.any_node import dictionary_of
+    from eds import cia301
+    from eds.bench.bench_network import wire
     from eds.datatype import DataType
     from eds.dictionary import Dictionary
+    from eds.dictionary import read as read_eds
+    from eds.emcy_codes import emcy_text
+    from master.network import sdo
+    from master.network.doctor import other_master
     from master.network.link import Link
-    from master.node_access.dcf import DescribedNode, ParameterDifference
+    from master.node_access import dcf, object_text, pdo_settings
+    from master.node_access import node_scan as scanning
+    from master.node_access import remote_node as access
+    from master.node_access.dcf import DescribedNode, NamedNode, ParameterDifference
     from master.node_access.pdo_settings import PdoState
     from master.node_access.remote_node import NodeAccess
 
@@ -44,8 +55,6 @@ def scan(reached: Bus, eds: Eds = None) -> CommandAnswer:
 
     Example: bowden node scan
     """
-    from master.node_access import node_scan as scanning
-
     files = scanning.files_of(eds)
     with reached.linked() as link:
         found = scanning.scan(link, files)
@@ -81,8 +90,6 @@ def read(
 
     Example: bowden node read 1 1018:01
     """
-    from master.node_access import object_text
-
     with _node(name, reached, eds) as one:
         at = one.find(place)
         kind = one.kind(at, type)
@@ -110,8 +117,6 @@ def write(
 
     Example: bowden node write 1 1017 500
     """
-    from master.node_access import object_text
-
     if (value is None) == (given is None):
         raise NothingGivenError("NODE OBJECT VALUE", "write: give either VALUE or --input FILE.")
     try:
@@ -133,8 +138,6 @@ def write(
 
 def _object(one: NodeAccess, at: int) -> str:
     """Return index and name of an object."""
-    from master.node_access import object_text
-
     return " ".join(filter(None, (object_text.shown_key(at), one.name(at))))
 
 
@@ -147,8 +150,6 @@ def objects(
 
     Example: bowden node objects 3 --changed
     """
-    from master.node_access import object_text
-
     with _node(name, reached, eds) as one:
         found = [each for each in one.objects() if each.changed or not changed]
         units = one.units
@@ -176,8 +177,6 @@ def pdo(
 
     Example: bowden node pdo 2 --map tpdo1=6041,6064 --set tpdo1.type=1
     """
-    from master.node_access import object_text, pdo_settings
-
     settings = _settings(given or [])
     with _node(name, reached, eds, force=force, acts=bool(mapped or given)) as one:
         maps = _mapped(mapped or [], one)
@@ -199,8 +198,6 @@ def pdo(
 
 
 def _pdo_line(state: PdoState) -> str:
-    from eds.cia301 import COB_ID_INVALID
-
     cob_id = state.parameters["cob_id"] or 0
     kind = state.parameters["type"]
     words = "" if kind is None else f", type {kind} ({_transmission(kind)})"
@@ -208,7 +205,7 @@ def _pdo_line(state: PdoState) -> str:
         words += f", inhibit {state.parameters['inhibit'] / 10:g} ms"
     if state.parameters["event_timer"]:
         words += f", event timer {state.parameters['event_timer']} ms"
-    return f"{state.name}  {cob_id & 0x7FF:03X}h {'off' if cob_id & COB_ID_INVALID else 'on'}{words}"
+    return f"{state.name}  {cob_id & 0x7FF:03X}h {'off' if cob_id & cia301.COB_ID_INVALID else 'on'}{words}"
 
 
 def _transmission(kind: int) -> str:
@@ -221,18 +218,13 @@ def _transmission(kind: int) -> str:
 
 def _read_or_none(one: NodeAccess, at: int, kind: DataType | None, *, block: bool = False) -> Any:
     """Return the value of an object; None if the node refuses to be read."""
-    from master.network.sdo import SdoError
-    from master.node_access import object_text
-
     try:
         return object_text.value_of(kind, one.read_bytes(at, block=block))
-    except SdoError:
+    except sdo.SdoError:
         return None
 
 
 def _mapped(given: list[str], one: NodeAccess) -> dict[int, list[int]]:
-    from master.node_access import pdo_settings
-
     found = {}
     for text in given:
         pdo_name, equals, listed = text.partition("=")
@@ -243,8 +235,6 @@ def _mapped(given: list[str], one: NodeAccess) -> dict[int, list[int]]:
 
 
 def _settings(given: list[str]) -> dict[int, dict[str, int]]:
-    from master.node_access import pdo_settings
-
     found: dict[int, dict[str, int]] = {}
     for text in given:
         place, _, value = text.partition("=")
@@ -292,8 +282,6 @@ def nmt(
 
     Example: bowden node nmt 3 start
     """
-    from master.node_access import remote_node as access
-
     if command not in access.COMMANDS:
         raise InputError(f"nmt {command}: is no command; give one of {', '.join(access.COMMANDS)}.")
     node_id = 0 if name == "all" else node_id_of(name, reached)
@@ -317,9 +305,6 @@ def emcy(
 
     Example: bowden node emcy 8611 --profile 402
     """
-    from eds.dictionary import read as read_eds
-    from eds.emcy_codes import emcy_text
-
     try:
         number = int(code.removesuffix("h"), 16)
     except ValueError:
@@ -340,16 +325,13 @@ def backup(
 
     Example: bowden node backup servo -o servo.dcf
     """
-    from eds.dictionary import read as read_dcf
-    from master.node_access import dcf
-
     with _described(name, reached, eds) as (link, entry):
         dcf.refuse_other(link, entry, entry.dictionary, entry.dictionary.path)
         unread: list[str] = []
         values = {**dcf.backup(link, entry, unread), **dcf.stamp(entry.dictionary, datetime.datetime.now())}
     write_whole(output, dcf.as_dcf(entry.dictionary, entry.node_id, values), overwrite=True)
     if concise is not None:
-        write_whole(concise, dcf.concise(read_dcf(output)), overwrite=True)
+        write_whole(concise, dcf.concise(read_eds(output)), overwrite=True)
     return CommandAnswer({"node": name, "file": str(output), "parameters": len(values), "unread": unread}, [
         f"{output}: {len(values)} parameters of {name}; {len(unread)} could not be read.",
         *(f"  not read: {place}" for place in unread)], 1 if unread else 0)
@@ -361,8 +343,6 @@ def compare(name: Name, file: File, reached: Bus) -> CommandAnswer:
 
     Example: bowden node backup servo -o servo.dcf && bowden node compare servo servo.dcf
     """
-    from master.node_access import dcf
-
     found = _against_a_dcf(name, file, reached, dcf.compare)
     return _differences(name, file, found, "differ", 1 if found else 0)
 
@@ -375,8 +355,6 @@ def restore(
 
     Example: bowden node backup servo -o servo.dcf && bowden node restore servo servo.dcf
     """
-    from master.node_access import dcf
-
     found = _against_a_dcf(name, file, reached, dcf.restore, force=force, acts=True)
     return _differences(name, file, found, "restored")
 
@@ -384,11 +362,8 @@ def restore(
 def _against_a_dcf(name: str, file: Path, reached: Bus, act: Act,
                    **guarded: bool) -> list[ParameterDifference]:
     """Return the result of `act` on a node and the node's DCF."""
-    from eds.dictionary import read as read_dcf
-    from master.node_access import dcf
-
     node_id = node_id_of(name, reached)
-    given = read_dcf(file, node_id)
+    given = read_eds(file, node_id)
     with _described(name, reached, file, **guarded) as (link, entry):
         dcf.refuse_other(link, entry, given, str(file))
         return act(link, entry, given)
@@ -398,10 +373,6 @@ def _against_a_dcf(name: str, file: Path, reached: Bus, act: Act,
 def _described(name: str, reached: Bus, eds: Path | None,
                **guarded: bool) -> Iterator[tuple[Link, DescribedNode]]:
     """Return a link and the entry of a node that has a dictionary, in PRE-OPERATIONAL where nothing else is live."""
-    from eds.bench.bench_network import wire
-    from eds.cia301 import NmtCommand
-    from master.node_access.dcf import NamedNode
-
     known = {entry.name: entry for entry in wire(reached.network()).nodes.values()}
     if eds is None and name in known:
         eds = Path(known[name].dictionary.path)
@@ -409,7 +380,7 @@ def _described(name: str, reached: Bus, eds: Path | None,
         if one.dictionary is None:
             raise InputError(f"node {one.node_id}: no EDS fits it; give --eds FILE or a folder of them.")
         if name in known:
-            one.link.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, one.node_id)
+            one.link.nmt(cia301.NmtCommand.ENTER_PRE_OPERATIONAL, one.node_id)
         yield one.link, NamedNode(one.node_id, name if name in known else f"node {one.node_id}", one.dictionary)
 
 
@@ -417,9 +388,6 @@ def _described(name: str, reached: Bus, eds: Path | None,
 def _node(name: str, reached: Bus, eds: Path | None, *, force: bool = False,
           acts: bool = False) -> Iterator[NodeAccess]:
     """Return a node on its bus; `acts`: refuse while another master is there, unless `force`."""
-    from bowden.bench.any_node import dictionary_of
-    from master.node_access.remote_node import NodeAccess
-
     node_id = node_id_of(name, reached)
     with reached.linked() as link:
         if acts:
@@ -430,16 +398,12 @@ def _node(name: str, reached: Bus, eds: Path | None, *, force: bool = False,
 
 def refuse_other_master(link: Link, force: bool) -> None:
     """Raise `InputError` while another master is on the bus, unless `force`."""
-    from master.network.doctor import other_master
-
     if not force and (seen := other_master(link)):
         raise InputError(f"another master runs this bus: {seen}; stop it, or add --force.")
 
 
 def node_id_of(name: str, reached: Bus) -> int:
     """Return the node id of a number or of a name of the configuration; `InputError` for another word."""
-    from eds.bench.bench_network import wire
-
     if name.isdecimal() and 1 <= int(name) <= 127:
         return int(name)
     known = {entry.name: node_id for node_id, entry in wire(reached.network()).nodes.items()}

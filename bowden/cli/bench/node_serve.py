@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from bowden.bench import buses
 from bowden.cli import ending, options, terminal
 from bowden.cli.bench.node import Eds, Force, Name, node, node_id_of, refuse_other_master
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, argument, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
-if TYPE_CHECKING:
+with on_first_use():
+    import can
+
     from bowden.testing import CanBus, CanopenNode
-    from nodes import Application
+    from eds.datatype import decode
+    from eds.files import bus_yml
+    from master.node_access import bus_setup, node_scan, object_text
+    from master.node_access.remote_node import NodeGuard, state_name
+    from nodes import Application, GenericDrive, IoModule
 
 FAULTS = {"drop": None, "delay": "ms", "corrupt": "bit", "duplicate": None, "shorten": "size"}
 """Kinds of faults of single frames, each with the key of its number."""
@@ -33,8 +41,6 @@ def guard(
 
     Example: bowden node guard 1 --for 1 || true
     """
-    from master.node_access.remote_node import NodeGuard, state_name
-
     node_id = node_id_of(name, reached)
     events: list[dict[str, object]] = []
     lost = False
@@ -77,10 +83,6 @@ def serve(
 
     Example: bowden node serve knee_drive --node-id 5 --interface udp_multicast --channel 239.74.163.2 --for 1
     """
-    import can
-
-    from bowden.testing import CanBus
-
     if reached.interface is None:
         raise InputError("node serve: a node is for other programs' bus; add --interface socketcan --channel can0 (or "
                          "another).")
@@ -107,17 +109,12 @@ def serve(
 
 
 def _application(profile: int | None) -> Application | None:
-    from nodes import GenericDrive, IoModule
-
     if profile not in (None, 401, 402):
         raise InputError(f"--profile {profile}: is none of 401 and 402; give one of them, or leave it out.")
     return None if profile is None else GenericDrive() if profile == 402 else IoModule()
 
 
 def _set(made: CanopenNode, text: str) -> None:
-    from eds.datatype import decode
-    from master.node_access import object_text
-
     place, equals, value = text.partition("=")
     if not equals:
         raise InputError(f"--set {text}: expected OBJECT=VALUE; write for instance 6064=1000.")
@@ -155,9 +152,6 @@ def apply(file: File, reached: Bus, force: Force = False) -> CommandAnswer:
 
     Example: bowden node export -o bus.yml && bowden node apply bus.yml
     """
-    from eds.files import bus_yml
-    from master.node_access import bus_setup
-
     devices = bus_yml.read(file).devices
     with reached.linked() as link:
         refuse_other_master(link, force)
@@ -176,11 +170,6 @@ def export(
 
     Example: bowden node export -o bus.yml
     """
-    import shutil
-
-    from eds.files import bus_yml
-    from master.node_access import bus_setup, node_scan
-
     files = node_scan.files_of(eds)
     with reached.linked() as link:
         devices = [bus_setup.described(link, one) for one in node_scan.scan(link, files)]

@@ -14,10 +14,24 @@ import typer
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import CommandGroup, app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, SimulatedOptions, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError, declarations
 from parameters.files import write_whole
+
+with on_first_use():
+    from bowden.bench import examination
+    from bowden.trials import session, setup_checks
+    from eds.bench import bus_load
+    from eds.bench.bench_network import lacks, wire
+    from eds.files.check import findings
+    from master import limit_holders
+    from master.motion import commission
+    from master.network.host_computer import prepared
+    from master.node_access.node_scan import scan
+    from master.own_limits import by_path
+    from physics import setup_check
 
 check = CommandGroup(help="Find faults before anything runs.", rich_markup_mode=None)
 app.add_typer(check, name="check")
@@ -58,11 +72,6 @@ def check_config(file: ConfigFile) -> CommandAnswer:
 
     Example: bowden init -o bench.toml && bowden check config bench.toml
     """
-    from eds.bench.bench_network import lacks, wire
-    from eds.bench.bus_load import LOAD_GOAL_PERCENT, rate_that_fits, refuse
-    from master.limit_holders import COLUMNS, unheld
-    from master.own_limits import by_path
-
     sections = configuration.read(file, any_shape=True)
     network, limits = sections["network"], sections["limits"]
     refused = network.bench.refusal()
@@ -71,16 +80,16 @@ def check_config(file: ConfigFile) -> CommandAnswer:
         return CommandAnswer({"lacks": missing}, missing, 1)
     above, of_paths = limits.above_packaged(), by_path(limits, network.bench)
     built, held = wire(network), configuration.held_limits(sections)
-    nobody = unheld(held)
-    found = refuse(built)
-    fits = rate_that_fits(built)
+    nobody = limit_holders.unheld(held)
+    found = bus_load.refuse(built)
+    fits = bus_load.rate_that_fits(built)
     reason = f"reason: {limits.raised}." if limits.raised else "commands ask for --raise-limits REASON."
 
     def words() -> None:
         for text in above:
             print(f"{file}: {text}: above what is packaged; {reason}")
         terminal.table(
-            f"{file}: load {found.load_percent:.2f} % (goal {LOAD_GOAL_PERCENT:g} %), last input at "
+            f"{file}: load {found.load_percent:.2f} % (goal {bus_load.LOAD_GOAL_PERCENT:g} %), last input at "
             f"{found.inputs_ns / 1e3:.0f} µs, due at {found.deadline_ns / 1e3:.0f} µs",
             ("stream", "COB-ID", "bits", "period (µs)", "worst response (µs)"), [
                 (stream.name, f"{stream.can_id:03X}h", str(stream.bits()), f"{stream.period_ns / 1e3:.0f}",
@@ -89,7 +98,7 @@ def check_config(file: ConfigFile) -> CommandAnswer:
         terminal.table(f"{file}: limits of each force path", ("limit", *of_paths), [
             (f"{name} ({unit})" if unit else name, *(f"{getattr(found, name):g}" for found in of_paths.values()))
             for name, unit in _numbers(limits)])
-        terminal.table(f"{file}: safety functions", COLUMNS, [row.cells for row in held])
+        terminal.table(f"{file}: safety functions", limit_holders.COLUMNS, [row.cells for row in held])
         for text in nobody:
             print(f"{file}: nobody holds {text}; {reason}")
         if fits != network.rate_hz:
@@ -104,11 +113,11 @@ def check_config(file: ConfigFile) -> CommandAnswer:
         "limits": {path: {name: getattr(found, name) for name, _ in _numbers(found)}
                    for path, found in of_paths.items()},
         "safety_functions": configuration.held_as_objects(held), "held_by_nobody": nobody,
-        "load_percent": found.load_percent, "goal_percent": LOAD_GOAL_PERCENT, "rate_that_fits_hz": fits,
+        "load_percent": found.load_percent, "goal_percent": bus_load.LOAD_GOAL_PERCENT, "rate_that_fits_hz": fits,
         "inputs_ns": found.inputs_ns, "deadline_ns": found.deadline_ns, "streams": [
             {"name": stream.name, "cob_id": stream.can_id, "bits": stream.bits(), "period_ns": stream.period_ns,
              "response_ns": response} for stream, response in found.responses]},
-        words, 0 if runs and found.load_percent <= LOAD_GOAL_PERCENT else 1)
+        words, 0 if runs and found.load_percent <= bus_load.LOAD_GOAL_PERCENT else 1)
 
 
 def _numbers(section: Any) -> list[tuple[str, str]]:
@@ -122,8 +131,6 @@ def check_eds(files: Files) -> CommandAnswer:
 
     Example: bowden check eds my_drive.eds
     """
-    from eds.files.check import findings
-
     found = [finding for file in files for finding in findings(file)]
     return CommandAnswer(
         {"files": [str(file) for file in files], "findings": [asdict(finding) for finding in found]},
@@ -149,20 +156,17 @@ def check_bench(
 
     Example: bowden check bench --calibration calibration.toml --start 20 --end 20 --knee 0 --knee -60
     """
-    from bowden.trials import setup_checks
-    from master.motion import commission
-    from physics.setup_check import LEAST_N, SetupCheck, read
-
     asked = [(of, weight, "N") for of, weight in (("start", start), ("end", end)) if weight is not None]
     for of, weight, _ in asked:
-        if not LEAST_N <= weight <= 300.0:
-            raise InputError(f"--{of} {weight:g}: expected a weight from {LEAST_N:g} to 300 N; give another one.")
+        if not setup_check.LEAST_N <= weight <= 300.0:
+            raise InputError(f"--{of} {weight:g}: expected a weight from {setup_check.LEAST_N:g} to 300 N; give "
+                             "another one.")
     asked += [("knee", math.radians(angle), "rad") for angle in knee or ()]
     if not asked:
         raise InputError("check bench: no weight and no angle is given; name some of --start, --end and --knee.")
-    read(calibration)
+    setup_check.read(calibration)
     sections, chosen = reached.sections(), reached.chosen(simulated)
-    made: list[SetupCheck] = []
+    made: list[setup_check.SetupCheck] = []
     for of, reference, unit in asked:
         shown = f"{reference:g} N on {of}" if unit == "N" else f"{of} at {math.degrees(reference):g} degrees"
         if not chosen.simulated and sys.stdin.isatty():
@@ -173,8 +177,8 @@ def check_bench(
                 commission.reading(of), path)
         if outcome.reason is not None:
             raise InputError(f"{shown}: the reading was stopped ({outcome.reason}); nothing was written.")
-        made.append(SetupCheck(of, reference, found["reading"], unit,
-                               datetime.datetime.now().isoformat(timespec="minutes")))
+        made.append(setup_check.SetupCheck(of, reference, found["reading"], unit,
+                                           datetime.datetime.now().isoformat(timespec="minutes")))
     setup_checks.enter(calibration, made)
     return CommandAnswer(
         {"calibration": str(calibration), "checks": [
@@ -203,17 +207,12 @@ def doctor(
     Example: bowden doctor --interface socketcan --channel can0
     """
     if compiles:
-        from bowden.trials import session
-
         session.compile_laws(simulated=True, progress=terminal.TERMINAL)
         return CommandAnswer({"compiled": True}, "The laws are compiled.")
     if soak is not None:
         return _soak(reached, soak, output)
     if output is not None:
         raise InputError(f"-o {output}: is the report of a soak; add --soak MINUTES.")
-    from bowden.bench import examination
-    from master.limit_holders import COLUMNS
-
     sections = reached.sections()
     held = configuration.held_limits(sections)
     with terminal.waiting("looking"):
@@ -225,7 +224,7 @@ def doctor(
             print(f"{'ok ' if finding.good else 'BAD'} {finding.what}: {finding.seen}")
             if not finding.good:
                 print(f"      {finding.remedy}")
-        terminal.table("safety functions", COLUMNS, [row.cells for row in held])
+        terminal.table("safety functions", limit_holders.COLUMNS, [row.cells for row in held])
         print(f"{faults} faults.")
 
     return CommandAnswer({"findings": [
@@ -236,10 +235,6 @@ def doctor(
 
 def _soak(reached: Bus, minutes: float, output: Path | None) -> CommandAnswer:
     """Soak the bus and print or write the report; 1 where no node answered or the bus had errors."""
-    from bowden.bench import examination
-    from master.network.host_computer import prepared
-    from master.node_access.node_scan import scan
-
     with reached.linked() as link, ending.interrupted() as ended, prepared() as refused:
         nodes = [one.node_id for one in scan(link, []) if one.identity is not None]
         figures = examination.soak(link, nodes, minutes, ended)

@@ -11,20 +11,33 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from bowden import output_files
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import NothingGivenError, app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, argument, new_file, option, watched_bench
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 
-if TYPE_CHECKING:
+with on_first_use():
+    import can
+
+    from bowden.live import feeds
+    from bowden.live.feeds import TrialPlayer
     from bowden.live.web import LivePage
+    from bowden.models import logbook_entries
+    from bowden.trials.recording import BusRecording
+    from bowden.watch import file_watch, watch_process
     from bowden.watch.file_watch import FileWatch, WatchedBench
+    from eds.bench.bench_network import wire
     from estimation.running_evidence import WatchVerdict
+    from logbook.database import refuse_no_logbook
+    from trial import playback
+    from trial.read import open as opened
+    from trial.read import path_names
 
 
 FRAME_S = 1 / 60  # between two looks at the clock
@@ -58,15 +71,9 @@ def _show_page(page: LivePage) -> None:
 
 
 def _play(path: Path, reached: Bus, speed: float, web: str, over: Callable[[], bool]) -> int:
-    from bowden.live import feeds
-    from bowden.live.feeds import TrialPlayer
-    from bowden.live.web import LivePage
-    from trial.playback import SPEEDS
-    from trial.read import open as opened
-    from trial.read import path_names
-
-    if not SPEEDS[0] <= speed <= SPEEDS[1]:
-        raise InputError(f"--speed {speed:g}: expected {SPEEDS[0]:g} … {SPEEDS[1]:g}; give another one.")
+    slowest, fastest = playback.SPEEDS
+    if not slowest <= speed <= fastest:
+        raise InputError(f"--speed {speed:g}: expected {slowest:g} … {fastest:g}; give another one.")
     trial = opened(path)
     network = configuration.read(reached.config)["network"]
     shown = feeds.state(path.name, "recorded", network, path_names(trial) or ("",))
@@ -80,11 +87,6 @@ def _play(path: Path, reached: Bus, speed: float, web: str, over: Callable[[], b
 
 
 def _follow_bus(reached: Bus, web: str, over: Callable[[], bool]) -> int:
-    import can
-
-    from bowden.live import feeds
-    from bowden.live.web import LivePage
-
     network = reached.network()
     shown = feeds.state(f"{reached.interface} {reached.channel or ''}".strip(), "bus", network, decode_events=True)
     with buses.opened_one(reached.chosen(), network.bitrate) as bus, \
@@ -122,9 +124,6 @@ def watch(
 
     Example: bowden trial --cycles 3 -o good.mcap && bowden watch trial.mcap --healthy good.mcap
     """
-    from bowden.models import logbook_entries
-    from logbook.database import refuse_no_logbook
-
     if (trial is None) == (reached.interface is None):
         raise NothingGivenError("TRIAL | --interface NAME",
                                 "a watch reads a trial or a bus; give either a file or --interface.")
@@ -138,8 +137,6 @@ def watch(
 
 
 def _file(trial: Path, bench: WatchedBench, seconds: float | None) -> CommandAnswer:
-    from bowden.watch import file_watch
-
     over = ending.after(seconds)
     with terminal.fitting("fitting the reference trials"):
         watched = file_watch.FileWatch(trial, bench)
@@ -167,10 +164,6 @@ def _looked(watched: FileWatch, ended: Callable[[], bool]) -> Iterator[WatchVerd
 def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float | None, *, overwrite: bool
          ) -> CommandAnswer:
     """Record the bus in this process, and watch the recording in another one."""
-    from bowden.trials.recording import BusRecording
-    from bowden.watch import watch_process
-    from eds.bench.bench_network import wire
-
     if output is None:
         raise InputError("a watch records the bus that it watches; name the file with -o FILE.")
     network = reached.network()

@@ -6,20 +6,30 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from bowden.cli import options, terminal
 from bowden.cli.app import NothingGivenError, app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from bowden.trials import force_paths
 from parameters import InputError
 from parameters.files import write_whole
 
-if TYPE_CHECKING:
+with on_first_use():
+    from bowden.models import diagnosing, experiment_plan, logbook_entries
+    from bowden.models.diagnosing import table_of
+    from bowden.sweep import run
+    from diagnosis import extension
     from diagnosis.evidence.planned_limits import Plan
+    from diagnosis.finder import Finder
     from diagnosis.findings import Findings
+    from diagnosis.report import diagnosis_page, figure_export
+    from diagnosis.report.headline import headline
     from estimation.data.table import Table
+    from physics.effects import own_effects
+    from trial.report.words import quantities, words
 
 Trials = Annotated[list[Path] | None, argument("TRIAL…", "MCAP, or CSV (.gz) with canonical headers.")]
 Holdout = Annotated[list[Path] | None, option("Never fitted, only judged; repeatable.", metavar="TRIAL")]
@@ -63,8 +73,6 @@ def diagnose(
 
     Example: bowden diagnose trial.mcap --healthy good.mcap -o extended.toml --report diagnosis.html
     """
-    from physics.effects import own_effects
-
     asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
     given = {"--logbook": logbook, "TRIAL": trials, "-o": output, "--report": report, "--figures": figures,
              "--terms": terms, "--effects": effects, "--lowpass": lowpass, "--holdout": holdout, "--tracked": tracked,
@@ -76,11 +84,6 @@ def diagnose(
     own = own_effects.read_each(effects or [])
     if each:
         return _each(chosen, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers))
-    from bowden.models import diagnosing, logbook_entries
-    from diagnosis import extension
-    from diagnosis.finder import Finder
-    from diagnosis.report import diagnosis_page, figure_export
-
     if figures is not None:
         figure_export.refuse(figures, overwrite=overwrite)
     references, deviations = logbook_entries.reference_trials(logbook, healthy, chosen if logbook else ())
@@ -113,8 +116,6 @@ def diagnose(
 
 def _path_of(logbook: Path, path: str | None) -> str | None:
     """Return the force path of a logbook; raises `InputError` where another one is asked for."""
-    from bowden.models import logbook_entries
-
     followed = logbook_entries.path_of(logbook)
     if path is not None and path != followed:
         raise InputError(f"--path {path}: the logbook {logbook} follows " + (
@@ -154,8 +155,6 @@ def _each(
     where: tuple[str | None, int | None],
 ) -> CommandAnswer:
     """Diagnose every trial for itself; status 0 with a result for each, 1 if some were refused, 2 if all were."""
-    from bowden.sweep import run
-
     given = run.DiagnosisSettings(calibration, tuple(healthy), tuple(holdout), lowpass)
     with run.workers_of(*where) as crew, terminal.progress("diagnosing") as update:
         told = run.diagnose_each(trials, given, crew, update)
@@ -165,8 +164,6 @@ def _each(
 
 
 def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
-    from trial.report.words import words
-
     if lowpass:
         print(f"Every signal low-passed at {lowpass:g} Hz, without phase.")
     for trial, one in told.items():
@@ -185,8 +182,6 @@ def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
 
 def _read(groups: Sequence[Sequence[Path]], path: str | None, show: Callable[[str], None]) -> list[list[Table]]:
     """Return the tables of each group of files."""
-    from bowden.models.diagnosing import table_of
-
     def read(file: Path) -> Table:
         show(f"reading {file.name}")
         return table_of(file, path)
@@ -195,9 +190,6 @@ def _read(groups: Sequence[Sequence[Path]], path: str | None, show: Callable[[st
 
 
 def _tell(found: Findings, result: dict[str, Any]) -> None:
-    from diagnosis.report.headline import headline
-    from trial.report.words import quantities, words
-
     if "path" in result:
         print(f"Path {result['path']}.")
     for sentence in headline(found):
@@ -238,15 +230,11 @@ def _tell_signals(signals: dict[str, Any]) -> None:
 
 
 def _parameters(parameters: dict[str, Any]) -> str:
-    from trial.report.words import words
-
     return ", ".join(f"{words(name)} {value['value']:.4g} [{value['low']:.4g}, {value['high']:.4g}] {value['unit']}"
                      for name, value in parameters.items())
 
 
 def _plan(name: str, walk: tuple[Any, ...], calibration: Path | None, healthy: list[Path]) -> CommandAnswer:
-    from bowden.models import experiment_plan
-
     with terminal.waiting(f"simulating {name}"):
         found = experiment_plan.plan(name, experiment_plan.WalkPlan(*walk), calibration, healthy)
     return CommandAnswer({"experiment": name, **found.as_json()}, lambda: _tell_plan(name, found))

@@ -5,23 +5,31 @@ from __future__ import annotations
 import datetime
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, SimulatedOptions, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from bowden.trials import force_paths
 from parameters import InputError, declarations
 from parameters.files import write_whole
 
-if TYPE_CHECKING:
+with on_first_use():
+    from bowden.models import identification, logbook_entries
+    from bowden.models.diagnosing import table_of
     from bowden.models.identification import IdentificationResult
+    from bowden.pages import model_pictures
+    from bowden.trials import session
+    from estimation import bench_fit
     from estimation.bench_fit import FittedBench
-    from physics.calibration import Calibration
+    from logbook.database import refuse_no_logbook
+    from physics.calibration import Calibration, write
+    from trial.report.words import quantity
 
 
 HealthyTrials = Annotated[list[Path], argument(
@@ -42,17 +50,11 @@ def fit(
 
     Example: bowden fit good.mcap -o model.toml
     """
-    from bowden.models.diagnosing import table_of
-    from estimation import bench_fit
-    from logbook.database import refuse_no_logbook
-
     refuse_no_logbook(logbook)
     with terminal.fitting("fitting"):
         found = bench_fit.fit([table_of(file, path) for file in trials], lowpass)
     write_whole(output, found.text(), overwrite=True)
     if logbook is not None:
-        from bowden.models import logbook_entries
-
         logbook_entries.add_model(logbook, "fit", output)
     known = None if found.rig is not None else found.model.calibration
     result: dict[str, Any] = {"model": str(output), **found.as_json(), **scalars_json(known)}
@@ -76,8 +78,6 @@ def _tell_fit(output: Path, found: FittedBench) -> None:
 
 
 def _tell_rig(found: FittedBench) -> None:
-    from trial.report.words import quantity
-
     print(f"A rig of another kind than the bench; terms found: {', '.join(found.rig or ()) or 'none'}.")
     terminal.table("measured less predicted, on the last part of each trial, which the fit had not seen", (
         "signal", "RMS", "of a spread of"), [
@@ -118,10 +118,6 @@ def identify(
 
     Example: bowden identify all --serial 3 -o calibration.toml
     """
-    from bowden.models import identification
-    from bowden.trials import session
-    from logbook.database import refuse_no_logbook
-
     refuse_no_logbook(logbook)
     if picture is not None and what in ("sensors", "gait"):
         raise InputError(f"--picture {picture}: identify {what} measures no loop of Figs. 9 and 10; leave it out.")
@@ -151,21 +147,15 @@ def identify(
 def _written(found: Sequence[IdentificationResult], output: Path, source: str, picture: Path | None,
              logbook: Path | None, last: str = "") -> CommandAnswer:
     """Write the calibration and the picture of each force path, and enter them; return the answer."""
-    from physics.calibration import write
-
     files = {one.path: force_paths.file_of(output, one.path) if one.path else output for one in found}
     for one in found:
         if one.calibration is None:
             continue
         write_whole(files[one.path], write(one.calibration), overwrite=True)
         if picture is not None:
-            from bowden.pages import model_pictures
-
             model_pictures.draw_loops(one.segments, f"{files[one.path].name}, measured in {source}",
                                force_paths.file_of(picture, one.path) if one.path else picture)
         if logbook is not None:
-            from bowden.models import logbook_entries
-
             logbook_entries.add_model(logbook, "calibration", files[one.path])
     objects = {one.path: {
         "calibration": None if one.calibration is None else str(files[one.path]), "trial": source,

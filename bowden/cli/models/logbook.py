@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import CommandGroup, app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.cli.trials.trial import FORCE_FIGURES
 from parameters import InputError
 
-if TYPE_CHECKING:
-    from logbook.bench_state import BenchState
-    from logbook.database import TrialEntry
+with on_first_use():
+    from bowden.models import logbook_entries
+    from bowden.models.logbook_entries import diagnosed_state
+    from logbook import bench_page, bench_state, database
+    from logbook.bench_page import export_table
+    from logbook.bench_state import BenchState, constants_of
+    from logbook.database import TrialEntry, open_logbook
+    from trial.report import words
 
 logbook = CommandGroup(help="Track a bench's constants over months.", rich_markup_mode=None)
 app.add_typer(logbook, name="logbook")
@@ -49,8 +56,6 @@ def init_logbook(
 
     Example: bowden logbook init bench1
     """
-    from logbook import database
-
     database.create(folder, name, references, path or "")
     return CommandAnswer({"logbook": str(folder), "references": references}, f"Logbook: {folder}")
 
@@ -63,8 +68,6 @@ def add_trials(folder: Folder, files: Files, session: options.Session = None) ->
 
     Example: bowden logbook init bench1 && bowden logbook add bench1 trial.mcap --session 2026-03-02
     """
-    from bowden.models import logbook_entries
-
     with terminal.fitting(f"fitting {len(files)} trials"):
         entries = logbook_entries.add(folder, dict.fromkeys(files, session))
     added = [entry._asdict() | {"new": new} for entry, new in entries]
@@ -79,8 +82,6 @@ def list_trials(folder: Folder, most: Most = 20) -> CommandAnswer:
 
     Example: bowden logbook init bench1 && bowden logbook list bench1
     """
-    from logbook.database import open_logbook
-
     with open_logbook(folder) as book:
         name, counts, entries = book.name, book.counts(), book.trials(most)
     rows = [(str(e.id), e.label, e.experiment, e.outcome or "–",
@@ -100,9 +101,6 @@ def show_bench(
 
     Example: bowden logbook init bench1 && bowden logbook show bench1 --limit cable=0.3
     """
-    from bowden.models.logbook_entries import diagnosed_state
-    from logbook.database import open_logbook
-
     with open_logbook(folder) as book:
         if trial is not None:
             return _of_trial(book, trial)
@@ -119,11 +117,7 @@ def report_bench(folder: Folder, output: options.Page, limit: Limits = None) -> 
 
     Example: bowden logbook init bench1 && bowden logbook report bench1 -o bench1.html
     """
-    from bowden.models.logbook_entries import diagnosed_state
-    from logbook import bench_page
-    from logbook.database import FILE, open_logbook
-
-    output_files.refuse_inputs([output], [folder / FILE])
+    output_files.refuse_inputs([output], [folder / database.FILE])
     with open_logbook(folder) as book:
         with terminal.fitting("diagnosing a change"):
             state = diagnosed_state(book, _limits(limit))
@@ -137,10 +131,7 @@ def export_logbook(folder: Folder, output: NewTable, table: Table = "trials") ->
 
     Example: bowden logbook init bench1 && bowden logbook export bench1 --table constants -o constants.csv
     """
-    from logbook.bench_page import export_table
-    from logbook.database import FILE, open_logbook
-
-    output_files.refuse_inputs([output], [folder / FILE])
+    output_files.refuse_inputs([output], [folder / database.FILE])
     with open_logbook(folder) as book:
         rows = export_table(book, table, output)
     return CommandAnswer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
@@ -152,9 +143,6 @@ def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After
 
     Example: bowden logbook init bench1 && bowden logbook note bench1 "cable replaced" --part cable
     """
-    from logbook.bench_state import constants_of
-    from logbook.database import open_logbook
-
     if not text.strip():
         raise InputError("logbook note: the text is empty; write what was done.")
     names = constants_of(part or ())
@@ -174,9 +162,7 @@ def _near(path: str) -> str:
 
 
 def _completed(incomplete: str) -> list[str]:
-    from logbook.bench_state import CONSTANTS, PARTS
-
-    return [name for name in (*PARTS, *CONSTANTS) if name.startswith(incomplete)]
+    return [name for name in (*bench_state.PARTS, *bench_state.CONSTANTS) if name.startswith(incomplete)]
 
 
 def _limits(given: Sequence[str] | None) -> dict[str, float]:
@@ -199,9 +185,6 @@ def _of_trial(book: Any, number: int) -> CommandAnswer:
 
 
 def _tell_trial(entry: TrialEntry, verdicts: Sequence[dict[str, Any]]) -> None:
-    from bowden.cli.trials.trial import FORCE_FIGURES
-    from trial.report import words
-
     print(f"Trial {entry.id}, session {entry.label}: {entry.path}" + ("" if entry.there else " (not found)"))
     print(f"  entered {entry.added}; {words.quantity(entry.seconds, 's')} recorded"
           + ("" if entry.estimated else f"; not fitted: {entry.remark}"))

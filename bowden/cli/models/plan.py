@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import NothingGivenError, app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import BusAlone, SimulatedOptions, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
 
-if TYPE_CHECKING:
+with on_first_use():
+    from bowden.mending import supervisor
     from bowden.mending.mended_bench import MendedBench
+    from bowden.models import diagnosing, experiment_plan, logbook_entries
     from bowden.models.diagnosing import DiscoveryResult
     from bowden.models.experiment_plan import ExperimentPlan
+    from bowden.pages import model_pictures
+    from diagnosis.report.headline import law_sentences
+    from physics.effects import own_effects
+    from trial.report.words import words
 
 
 Trials = Annotated[list[Path] | None, argument(
@@ -36,8 +43,6 @@ def plan_experiment(
 
     Example: bowden plan trial.mcap --healthy good.mcap
     """
-    from bowden.models import experiment_plan, logbook_entries
-
     if model is not None and (trials or healthy or logbook or path):
         raise InputError("--model simulates its bench; leave trials, --healthy, --logbook and --path out.")
     if model is None and logbook is None and not trials:
@@ -106,8 +111,6 @@ def discover(
 
     Example: bowden discover trial.mcap --healthy good.mcap -o extended.toml --picture law.png
     """
-    from bowden.models import diagnosing
-
     if not trials or not healthy:
         raise NothingGivenError("TRIAL… --healthy TRIAL",
                                 "give a trial, and with --healthy one in the reference condition.")
@@ -119,15 +122,11 @@ def discover(
 
 def _write(found: DiscoveryResult, output: Path | None, picture: Path | None, promote: Path | None) -> list[Path]:
     """Write the requested files; without a law nothing is written."""
-    from physics.effects import own_effects
-
     if not found.terms:
         return []
     if output is not None:
         write_whole(output, found.model.text(), overwrite=True)
     if picture is not None:
-        from bowden.pages import model_pictures
-
         model_pictures.draw_law(found.laws, picture)
     if promote is not None:
         write_whole(promote, own_effects.promoted(found.terms), overwrite=True)
@@ -135,8 +134,6 @@ def _write(found: DiscoveryResult, output: Path | None, picture: Path | None, pr
 
 
 def _tell_law(found: DiscoveryResult, written: list[Path]) -> None:
-    from diagnosis.report.headline import law_sentences
-
     for sentence in law_sentences(found.laws):
         terminal.sentence(sentence)
     terminal.table("RMS error on cycles that no fit has seen", (
@@ -167,8 +164,6 @@ def mend(
 
     Example: bowden mend --reference good.mcap --plant-model bench.toml -o night
     """
-    from bowden.mending import supervisor
-
     if not reference:
         raise NothingGivenError("--reference TRIAL -o DIR",
                                 "give a trial of the bench in the reference condition.")
@@ -180,8 +175,6 @@ def mend(
 
 
 def _tell_mended(found: MendedBench) -> None:
-    from trial.report.words import words
-
     for equation in found.equations:
         terminal.sentence(f"Law: {equation}.")
     if found.names:

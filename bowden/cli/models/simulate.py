@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, SimulatedOptions, WalkOptions, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
 
-if TYPE_CHECKING:
+with on_first_use():
+    import numpy as np
+
+    from bowden.trials import session
+    from bowden.trials.experiment import gained
+    from estimation import bench_fit, simulation
+    from estimation.data import table
     from estimation.data.table import Table
+    from physics import bench_model
     from physics.bench_model import BenchModel
     from physics.forward.path_parameters import SimulatedTensions
 
@@ -34,10 +43,6 @@ def simulate(
 
     Example: bowden simulate trial.mcap --model model.toml
     """
-    from estimation import bench_fit, simulation
-    from estimation.data import table
-    from physics import bench_model
-
     used = bench_model.BenchModel() if model is None else bench_model.read(model)
     given = table.read(trial)
     with terminal.waiting("simulating"):
@@ -50,14 +55,8 @@ def simulate(
 
 
 def _write(output: Path, given: Table, told: SimulatedTensions) -> None:
-    import io
-
-    import numpy as np
-
-    from estimation.simulation import SIGNALS
-
     columns = {"time_s": given["time_s"]}
-    for name in SIGNALS:
+    for name in simulation.SIGNALS:
         if name in given:
             columns[name] = given[name]
         columns[f"simulated_{name}"] = getattr(told, name)
@@ -103,9 +102,6 @@ def verify(
 
     Example: bowden verify extended.toml --plant-model bench.toml --cycles 4 -o verify.mcap
     """
-    from bowden.trials import session
-    from bowden.trials.experiment import gained
-
     sections = reached.sections(rate)
     sections["gait"] = walk.gait(sections["gait"], controller="extended")
     chosen = reached.chosen(simulated)

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import NothingGivenError, app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
 from parameters.files import write_whole
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
+with on_first_use():
+    from bowden.models import logbook_entries
+    from bowden.sweep import summary
     from trial.compare import FieldDifference, TrialComparison
+    from trial.compare import compare as compared
+    from trial.convert import csv_table
+    from trial.convert.csv_file import Dialect
+    from trial.convert.export import export as exported
+    from trial.convert.imports import import_file, table_of
+    from trial.read import open as opened
+    from trial.read import open_file
+    from trial.report import compare_page, trial_page
 
 Source = Annotated[Path, argument(
     "FILE", "csv, tsv, xlsx, tdms, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
@@ -46,18 +56,14 @@ def import_(
 
     Example: bowden import candump.log -o trial.mcap
     """
-    from trial.convert.csv_file import Dialect
-    from trial.convert.csv_table import Map, read_map
-    from trial.convert.imports import import_file
-
     if guess:
         if columns is not None:
             raise InputError("--guess writes a map and --map reads one; leave one of them out.")
         return _guess(source, output, sheet or "", overwrite=overwrite)
     output_files.refuse_ending(output, ".mcap", what="a trial")
-    mapped = None if columns is None else read_map(columns)
+    mapped = None if columns is None else csv_table.read_map(columns)
     if sheet:
-        mapped = mapped or Map()
+        mapped = mapped or csv_table.Map()
         mapped.dialect = Dialect(sheet=sheet)
     with terminal.progress(f"importing {source}") as update:
         report = import_file(source, output, mapped=mapped, overwrite=overwrite, progress=update)
@@ -69,9 +75,6 @@ def import_(
 
 
 def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool) -> CommandAnswer:
-    from trial.convert import csv_table
-    from trial.convert.imports import table_of
-
     output_files.refuse_ending(output, ".toml", what="a map")
     sheet = table_of(source, sheet_name)
     write_whole(output, csv_table.text(sheet, str(output)), overwrite=overwrite)
@@ -108,9 +111,6 @@ def export(
 
     Example: bowden export trial.mcap -o trial.csv
     """
-    from trial.convert.export import export as exported
-    from trial.read import open_file
-
     with terminal.progress(f"exporting {trial}") as update:
         rows = exported(open_file(trial), output, mat73=mat73, overwrite=overwrite, progress=update)
     return CommandAnswer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
@@ -129,10 +129,6 @@ def compare(
 
     Example: bowden compare a.mcap b.mcap --report compared.html
     """
-    from trial.compare import compare as compared
-    from trial.read import open as opened
-    from trial.report import compare_page
-
     if picture is not None and not controllers:
         raise InputError("--picture shows ranked controllers; give --controllers and the table of a sweep.")
     if controllers:
@@ -158,8 +154,6 @@ def compare(
 
 def _rank_controllers(table: Path, other: Path | None, picture: Path | None) -> CommandAnswer:
     """Return the controllers of a sweep, the best first; status 1 where trials of one did not complete."""
-    from bowden.sweep import summary
-
     if other is not None:
         raise InputError(f"--controllers ranks those of one table; leave {other} out.")
     rows = summary.ranked_rows(table)
@@ -189,8 +183,6 @@ RARE = 1e-3
 
 def _against_history(trial: Path, logbook: Path | None, report: Path | None) -> CommandAnswer:
     """Compare one trial with its bench's history; status 1 if the trial departs from the history."""
-    from bowden.models import logbook_entries
-
     assert logbook is not None
     if report is not None:
         raise InputError("--report shows two trials; leave it out with --logbook, or say bowden logbook report.")
@@ -209,10 +201,8 @@ def _against_history(trial: Path, logbook: Path | None, report: Path | None) -> 
 
 
 def _four_figures(a: Mapping[str, float | None], b: Mapping[str, float | None]) -> None:
-    from trial.report.trial_page import FIGURES
-
     rows = [(f"{text} ({unit})", terminal.number(a.get(name)), terminal.number(b.get(name)))
-            for name, unit, text in FIGURES if a.get(name) is not None or b.get(name) is not None]
+            for name, unit, text in trial_page.FIGURES if a.get(name) is not None or b.get(name) is not None]
     if rows:
         terminal.table("figures", ("figure", "A", "B"), rows)
 

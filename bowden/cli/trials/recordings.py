@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import datetime
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from bowden.trials import force_paths
 from parameters import InputError
 
-if TYPE_CHECKING:
-    from trial.convert.contents import Contents
+with on_first_use():
+    from bowden.pages import figures
+    from trial import edit
+    from trial.convert.contents import Contents, contents
     from trial.edit import EditSummary
+    from trial.recover import recover as recovered
+    from trial.report import words
 
 Any_ = Annotated[Path, argument("FILE", "A trial, CAN log, table or MCAP file.")]
 Recording = Annotated[Path, argument("FILE", "MCAP.")]
@@ -37,16 +43,12 @@ def info(file: Any_) -> CommandAnswer:
 
     Example: bowden info trial.mcap
     """
-    from trial.convert.contents import contents
-
     with terminal.waiting(f"reading {file}"):
         found = contents(file)
     return CommandAnswer(found.as_json(), lambda: _tell(found))
 
 
 def _tell(found: Contents) -> None:
-    import datetime
-
     when = ""
     if found.begins_ns is not None and found.begins_ns > 10**17:  # an epoch, no trial's clock
         begins = datetime.datetime.fromtimestamp(found.begins_ns // 10**9, datetime.UTC)
@@ -64,8 +66,6 @@ def _tell(found: Contents) -> None:
         terminal.table("columns", ("column", "unit", "least", "greatest", "unknown"), [
             (one.name, one.unit, *("–" if value is None else f"{value:.6g}" for value in (one.least, one.greatest)),
              str(one.unknown)) for one in found.columns])
-    from trial.report import words
-
     for name, value in words.shown(found.about).items():
         print(f"  {name}: {value}")
     for name, count in found.counts.items():
@@ -89,8 +89,6 @@ def cut(
 
     Example: bowden cut trial.mcap --from 2 --to 6 -o part.mcap
     """
-    from trial import edit
-
     if from_ is None and to is None and gait is None:
         raise InputError("cut: nothing says what to keep; give --from, --to or --gait.")
     if gait is not None and (from_ is not None or to is not None):
@@ -120,8 +118,6 @@ def merge(
     Example: bowden cut trial.mcap --to 2 -o a.mcap && bowden cut trial.mcap --from 2 -o b.mcap &&
     bowden merge a.mcap b.mcap -o whole.mcap
     """
-    from trial import edit
-
     with terminal.waiting("merging"):
         found = edit.merge(files, output, overwrite=overwrite)
     return _written(output, found)
@@ -143,8 +139,6 @@ def recover(
 
     Example: bowden recover torn.mcap -o whole.mcap
     """
-    from trial.recover import recover as recovered
-
     output_files.refuse_ending(output, ".mcap", what="a recording")
     with terminal.progress(f"recovering {torn}") as update:
         found = recovered(torn, output, overwrite=overwrite, progress=update)
@@ -163,8 +157,6 @@ def report(
 
     Example: bowden report trial.mcap -o report.html
     """
-    from bowden.pages import figures
-
     with terminal.waiting(f"reading {trial}"):
         recorded = force_paths.opened(trial, path, whole=True)
     size = figures.write_trial_page(recorded, output, overwrite=overwrite, progress=terminal.TERMINAL)

@@ -5,21 +5,26 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from bowden.bench import buses
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import BusAlone, SimulatedOptions, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from bowden.trials import force_paths
 from parameters import InputError
 
-if TYPE_CHECKING:
+with on_first_use():
+    from bowden.replay import onto_bus, onto_controller, onto_master, onto_plant, refuse_imported
     from bowden.replay.onto_bus import PlaybackResult, Playing
-    from trial.read import Trial
+    from bowden.replay.player import Selection
+    from bowden.trials import recorded
+    from bowden.trials.recorded import experiment
+    from trial.read import Trial, whole
 
 LOST = ("frames were not taken: nodes on the bus send the same COB-IDs, or nobody is on it; "
         "--direction tx leaves out what the recorded nodes sent.")
@@ -65,11 +70,6 @@ def replay(
 
     Example: bowden replay trial.mcap --onto controller
     """
-    from bowden.replay import onto_bus, refuse_imported
-    from bowden.replay.player import Selection
-    from bowden.trials import recorded
-    from trial.read import whole
-
     if onto not in ONTO:
         raise InputError(f"--onto {onto}: expected one of {', '.join(ONTO)}; choose where the trial is replayed.")
     _refuse_others(context, f"{onto} --nodes-only" if nodes_only else onto)
@@ -98,9 +98,6 @@ def replay(
 
 
 def _controller(recorded: Trial, allowed: str | None) -> CommandAnswer:
-    from bowden.replay import onto_controller
-    from bowden.trials.recorded import experiment
-
     chosen = experiment(recorded, allowed=allowed)
     with terminal.progress("controller") as update:
         found = onto_controller.replay(recorded, chosen, update)
@@ -130,8 +127,6 @@ def _tell(same: str, first: str | None, counted: tuple[str, str], differing: Map
 
 
 def _plant(recorded: Trial, chosen: buses.BusSettings, output: Path | None, *, overwrite: bool) -> CommandAnswer:
-    from bowden.replay import onto_plant
-
     found = onto_plant.replay(recorded, chosen, output, overwrite=overwrite, progress=terminal.TERMINAL)
 
     def words() -> None:
@@ -149,8 +144,6 @@ def _plant(recorded: Trial, chosen: buses.BusSettings, output: Path | None, *, o
 
 
 def _nodes(recorded: Trial, chosen: buses.BusSettings, bitrate: int) -> CommandAnswer:
-    from bowden.replay import onto_master
-
     found = onto_master.replay(recorded, chosen, bitrate, progress=terminal.TERMINAL)
 
     def words() -> None:

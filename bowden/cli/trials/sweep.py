@@ -9,9 +9,17 @@ import typer
 from bowden.bench import configuration
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import option
 from bowden.cli.terminal import CommandAnswer
 from parameters import InputError
+
+with on_first_use():
+    from bowden.sweep import rows as sweep_rows
+    from bowden.sweep import run as sweep_run
+    from bowden.sweep import summary
+    from bowden.sweep.sweep_table import SweepTable
+    from bowden.trials import provenance
 
 Grid = Annotated[list[str] | None, option(
     "Values of an option of bowden trial, or of table.key of bench.toml or of the plant; 1-20 for whole numbers. "
@@ -38,12 +46,6 @@ def sweep(
 
     Example: bowden sweep --grid peak=40,50,60 --grid serial=1-20 --identify --grid day=1 -o table.csv
     """
-    from bowden.sweep import rows as sweep_rows
-    from bowden.sweep import run as sweep_run
-    from bowden.sweep import summary
-    from bowden.sweep.sweep_table import SweepTable
-    from bowden.trials import provenance
-
     if draws < 1 or draw_seed < 0 or (workers is not None and workers < 1):
         raise typer.BadParameter("--draws and --workers are whole numbers from 1, --draw-seed from 0")
     if identify and calibration is not None:
@@ -91,12 +93,10 @@ MOST_CELLS = 200
 
 def _tell_cells(cells: Sequence[Mapping[str, Any]]) -> None:
     """Print a line for each cell of the grid, and below it why its trials stopped."""
-    from bowden.sweep.summary import FIGURES
-
     if len(cells) < 2:
         return
-    told = [name for name in FIGURES if any(name in cell["median"] for cell in cells)][:3]
-    print(f"By cell of the grid, medians of: {'; '.join(FIGURES[name] for name in told)}" if told
+    told = [name for name in summary.FIGURES if any(name in cell["median"] for cell in cells)][:3]
+    print(f"By cell of the grid, medians of: {'; '.join(summary.FIGURES[name] for name in told)}" if told
           else "By cell of the grid")
     for cell in cells[:MOST_CELLS]:
         where = ", ".join(f"{name.partition('.')[2]} = {value}" for name, value in cell["cell"].items()

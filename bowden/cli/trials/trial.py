@@ -6,17 +6,24 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
+from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, option
 from bowden.cli.terminal import CommandAnswer
 
-if TYPE_CHECKING:
-    from bowden.live.feeds import TrialFeed
+with on_first_use():
+    from bowden.bench import light_imports
+    from bowden.live import feeds
+    from bowden.live.feeds import TrialFeed, places
+    from bowden.models import logbook_entries
+    from bowden.pages import figures
+    from bowden.trials import repeated_motion, session
     from bowden.trials.session import PreparedTrial
+    from bowden.watch import watch_process
     from bowden.watch.file_watch import WatchedBench
     from bowden.watch.watch_process import TrialWatch
 
@@ -41,11 +48,7 @@ def trial(
 
     Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
-    from bowden.bench import light_imports
-
     light_imports.load()
-    from bowden.trials import repeated_motion, session
-
     own = {"--knee": knee, "--desired": desired, "--calibration": calibration, "--controller-model": controller_model}
     repeated_motion.refuse_beside(motion_of, experiment, {
         **own, **options.spelled(walk, strides), "--dry-run": dry_run or None, "--homing-n": homing_n})
@@ -57,8 +60,6 @@ def trial(
     bench = watched.bench(entered)
     chosen = reached.chosen(simulated)
     if entered is not None:
-        from bowden.models import logbook_entries
-
         label = logbook_entries.label(label, chosen)
     if motion_of is not None:
         prepared = repeated_motion.prepared(motion_of, sections, chosen)
@@ -96,8 +97,6 @@ def trial(
 def _performed(prepared: PreparedTrial, network: Any, output: Path, picture: Path | None, web: str | None,
                bench: WatchedBench | None, chosen: buses.BusSettings, *, overwrite: bool) -> dict[str, Any]:
     """Run a trial with its live page and its watches; return its figures and, by path, the watches' findings."""
-    from bowden.trials import session
-
     with (_watches(bench, output, network, chosen) as watches, _page(web, output.name, network) as page):
         if page is not None:
             for watch in watches.values():
@@ -127,8 +126,6 @@ def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[Tr
     """Return the live page of the trial; None without --web."""
     if web is None:
         return nullcontext()
-    from bowden.live import feeds
-
     return feeds.of_trial(web, name, network, lambda url: terminal.remark(f"live page: {url}"))
 
 
@@ -139,9 +136,6 @@ def _watches(bench: WatchedBench | None, output: Path, network: Any, chosen: bus
     if bench is None:
         yield {}
         return
-    from bowden.live.feeds import places
-    from bowden.watch import watch_process
-
     with ExitStack() as stack:
         yield {path: stack.enter_context(watch_process.beside(
             output, replace(bench, path=path or None), place, paced=chosen.simulated, shown=not terminal.quiet()))
@@ -181,12 +175,9 @@ FORCE_FIGURES = (
 def _show(
     result: dict[str, Any], output: Path, picture: Path | None, bus: str, *, dry_run: bool, with_end: bool
 ) -> None:
-    from bowden.pages.figures import PAPER_RMSE_PERCENT
-
     figure = terminal.number
-    paper = {"relative_rmse_percent": figure(PAPER_RMSE_PERCENT.get(result["peak_n"])), "max_idle_tension_n": "< 1"}
-    if dry_run:
-        paper = {}
+    paper = {} if dry_run else {
+        "relative_rmse_percent": figure(figures.PAPER_RMSE_PERCENT.get(result["peak_n"])), "max_idle_tension_n": "< 1"}
     title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {result['cycles']} cycles, {result['rate_hz']} Hz, "
              f"controller {result['controller']}, calibration {result['calibration']}: {result['outcome']}")
     shown = [(f"{name}, {found['peak_n']:g} N", found) for name, found in result.get("paths", {}).items()]
