@@ -13,12 +13,21 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+from bowden.deferred import on_first_use
 from parameters import InputError
 
-if TYPE_CHECKING:
+with on_first_use():
+    import can
+
+    from bowden.model_files import tables
     from eds.bench.network import Network
+    from eds.declaration import as_tables, packaged
+    from master.network import doctor, host_computer, link
+    from master.network.host_computer import prepared
+    from master.network.recorded_bus import RecordedBus
+    from master.network.socketcan import KernelBus
     from physics.bench_model import BenchModel
 
 VIRTUAL = "bowden"
@@ -87,8 +96,6 @@ def simulated(
     if isinstance(plant_model, Path):
         model = str(plant_model)
     elif plant_model is not None and not isinstance(plant_model, str | Mapping):
-        from bowden.model_files import tables
-
         model = tables(plant_model)
     arguments = {"interface": VIRTUAL, "channel": channel or BENCH, "serial": serial, "day": day, "seed": seed,
                  "plant": plant, "plant_model": model, **more}
@@ -121,8 +128,6 @@ def rated(chosen: BusSettings, bitrate: int, network: Network) -> BusSettings:
 
 def simulating(network: Network) -> dict[str, Any]:
     """Return the options of a simulated bench that follow from the configuration; its devices are this project's."""
-    from eds.declaration import as_tables, packaged
-
     bench = network.bench.bare
     return {"rate_hz": network.rate_hz, "declaration": None if bench == packaged() else as_tables(bench),
             "monitor": network.monitor or None}
@@ -131,8 +136,6 @@ def simulating(network: Network) -> dict[str, Any]:
 @contextmanager
 def opened_one(chosen: BusSettings, bitrate: int, **more: Any) -> Iterator[Any]:
     """Open one bus and close it at the end; raises `InputError` where it cannot be opened."""
-    import can
-
     arguments = {**chosen.arguments, "bitrate": bitrate, **more}
     try:
         bus = _open(arguments)
@@ -176,17 +179,10 @@ def clock_of(bus: Any) -> Callable[[], int]:
 def _open(arguments: dict[str, Any]) -> Any:
     """Open the kernel's CAN by the master's own socket, every other interface by python-can; can.conf gives the
     defaults."""
-    import can
-
-    from master.network import doctor, host_computer
-
     if arguments["interface"] != KERNEL:
         return can.Bus(**arguments)
     if not host_computer.IS_LINUX:
         raise InputError(f"interface {KERNEL}: is a part of Linux alone; {doctor.OTHER_INTERFACE}.")
-    from master.network.recorded_bus import RecordedBus
-    from master.network.socketcan import KernelBus
-
     kind = RecordedBus if arguments.pop("recorded", False) else KernelBus
     given = {name: value for name, value in arguments.items() if value is not None}
     settings = dict(can.util.load_config(config=given))
@@ -198,12 +194,9 @@ def _open(arguments: dict[str, Any]) -> Any:
 def opened(chosen: BusSettings, network: Network, *, truth: Path | None = None) -> Iterator[OpenBus]:
     """Open the master's bus and the tap; both are closed at the end."""
     bitrate = network.bitrate
-    from master.network.host_computer import prepared
-    from master.network.link import WANTED
-
     if chosen.arguments["interface"] == KERNEL:
         with opened_one(chosen, bitrate, recorded=True) as bus:
-            bus.set_filters(WANTED)
+            bus.set_filters(link.WANTED)
             yield OpenBus(bus, bus, time.time_ns, prepared)
         return
     if chosen.own_bench:
@@ -213,5 +206,5 @@ def opened(chosen: BusSettings, network: Network, *, truth: Path | None = None) 
         if chosen.simulated:
             yield OpenBus(bus, tap, bus.time_ns, lambda: nullcontext([]))
         else:
-            bus.set_filters(WANTED)
+            bus.set_filters(link.WANTED)
             yield OpenBus(bus, tap, time.time_ns, prepared)

@@ -16,12 +16,20 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from bowden.deferred import on_first_use
 from parameters import InputError, checked, declarations, from_table, read_toml, template
 
-if TYPE_CHECKING:
-    from master.limit_holders import HeldLimit
+with on_first_use():
+    import safety_monitor
+    from eds import declaration as bench_declaration
+    from eds.bench.bench_network import wire
+    from eds.declaration import as_tables, declared, packaged, text_of
+    from master import limit_holders
+    from master.limit_holders import HeldLimit, holders, unheld
+    from master.own_limits import checked as checked_own
+    from master.own_limits import of_path
 
 SECTIONS: dict[str, tuple[str, str]] = {
     "network": ("eds.bench.bench_network", "Network"),
@@ -90,8 +98,6 @@ def monitored(file: str, config: Path | None) -> str:
 
     Raises `InputError` for a file that cannot be used.
     """
-    import safety_monitor
-
     if not file:
         return ""
     beside = Path(file) if config is None else config.parent / file
@@ -116,17 +122,12 @@ def _apart(limits: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _with_own(limits: Any, own: Mapping[str, Any], bench: Any, path: Path | None) -> Any:
     """Return the limits with those of single devices, joints and force paths; one path has them as the bench's."""
-    from master.own_limits import checked as checked_own
-    from master.own_limits import of_path
-
     found = dataclasses.replace(limits, own=checked_own(own, bench, where=str(path)))
     return found if len(bench.force_paths) > 1 else of_path(found, bench, bench.force_paths[0])
 
 
 def _bench(mappings: Mapping[str, Any], arrays: Mapping[str, Any], path: Path | None, any_shape: bool) -> Any:
     """Return the declared bench, or the packaged one, with the devices of the tables `mappings`."""
-    from eds.declaration import declared, packaged
-
     paper = packaged()
     bench = paper if path is None or not arrays else declared(arrays, where=str(path), folder=path.parent)
     same = bench.shape == paper.shape
@@ -177,8 +178,6 @@ def override(section: Any, options: Mapping[str, tuple[str, Any]]) -> Any:
 
 def as_text(sections: Mapping[str, Any]) -> str:
     """Return the configuration in use, as TOML, for attachment to a trial."""
-    from eds.declaration import as_tables, packaged
-
     bench = sections["network"].bench
     same = bench.shape == packaged().shape
     tables = {name: section for name, section in sections.items() if name not in OPTIONAL or section != type(section)()}
@@ -222,10 +221,9 @@ def as_template(told: Mapping[str, str] | None = None, shape: str = "bench") -> 
 
     `told`: values of the section `[record]`.  Raises `InputError` for a shape that is not packaged.
     """
-    from eds.declaration import SHAPES, text_of
-
-    if shape not in SHAPES:
-        raise InputError(f"--shape {shape}: expected one of {', '.join(SHAPES)}; choose the shape of the bench.")
+    if shape not in bench_declaration.SHAPES:
+        raise InputError(f"--shape {shape}: expected one of {', '.join(bench_declaration.SHAPES)}; choose the shape "
+                         "of the bench.")
     arrays = text_of(shape)
     text = "\n".join((*(template(declaration(name), name) for name in (*SECTIONS, *MONITOR)), arrays))
     for line in tomllib.loads(arrays).get("network", {}).items():
@@ -242,9 +240,6 @@ SAFETY_TABLE = "safety_functions.csv"
 
 def held_limits(sections: Mapping[str, Any]) -> list[HeldLimit]:
     """Return the table of a checked configuration; raises `InputError` for devices that do not fit their places."""
-    from eds.bench.bench_network import wire
-    from master.limit_holders import holders
-
     network = sections["network"]
     return holders(wire(network), sections["limits"], _held_by_monitor(getattr(network, "monitor", "")))
 
@@ -263,11 +258,9 @@ def _held_by_monitor(person: str) -> dict[str, str]:
 
 def held_as_csv(rows: list[HeldLimit]) -> bytes:
     """Return the table as CSV with a header."""
-    from master.limit_holders import COLUMNS
-
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    writer.writerow(limit_holders.COLUMNS)
     writer.writerows(row.cells for row in rows)
     return text.getvalue().encode()
 
@@ -279,8 +272,6 @@ def held_as_objects(rows: list[HeldLimit]) -> list[dict[str, str]]:
 
 def refuse_unheld(sections: Mapping[str, Any], where: str) -> None:
     """Raise `InputError` for a safety function that nobody holds, without a reason that a trial carries with it."""
-    from master.limit_holders import unheld
-
     if sections["limits"].raised.strip():
         return
     functions = unheld(held_limits(sections))

@@ -10,16 +10,18 @@ import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 import safety_monitor
+from bowden.deferred import on_first_use
 from parameters import InputError
 from safety_monitor.checks import LOOSE_N, LOOSE_SHARE, MS, ROPE_AHEAD, ROPE_SPAN, STEP_NS, WINDOW
 from safety_monitor.person import RANGES, PersonError, checked
 
-if TYPE_CHECKING:
+with on_first_use():
+    from trial import read
     from trial.read import TrialFile
 
 BENCH_MARGIN: Final = 1.25
@@ -84,8 +86,6 @@ def of_trials(trials: Sequence[Path], person: Path) -> tuple[list[BenchBound], s
 
 
 def _paths(file: Path) -> list[TrialFile]:
-    from trial import read
-
     trial = read.open_file(file)
     reason = (trial.result or {}).get("stop_reason")
     if trial.result is None or reason:

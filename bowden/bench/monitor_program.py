@@ -13,12 +13,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from bowden.deferred import on_first_use
 from eds.bench.bench_network import MONITOR
 from eds.cia301 import TPDO_BASE
 from parameters import InputError
 from parameters.plugins import load
 from safety_monitor import MonitorNode, PathInputs, read
 from safety_monitor.node import DIGEST_BYTES
+
+with on_first_use():
+    import can
+
+    from virtual_bus.wire.host import frame_of, message_of
 
 BOARDS = "bowden.monitor_boards"
 """Entry-point group of boards."""
@@ -95,10 +101,6 @@ def run(bus: Any, node: MonitorNode, clock: Callable[[], int], stop: Callable[[]
 
 def _receive(bus: Any, node: MonitorNode, clock: Callable[[], int]) -> None:
     """Wait for a frame until the next step is due, and give it to the monitor."""
-    import can
-
-    from virtual_bus.wire.host import frame_of
-
     try:
         message = bus.recv(max(0, (node.next_ns() or 0) - clock()) / 1e9)
     except (can.CanError, OSError):
@@ -110,10 +112,6 @@ def _receive(bus: Any, node: MonitorNode, clock: Callable[[], int]) -> None:
 
 
 def _sent(bus: Any, node: MonitorNode) -> bool:
-    import can
-
-    from virtual_bus.wire.host import message_of
-
     try:
         bus.send(message_of(node.outbox.popleft(), 0, False, ""))
     except (can.CanError, OSError):

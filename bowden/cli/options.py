@@ -21,8 +21,8 @@ import typer
 from bowden import output_files
 from bowden.bench import buses, configuration
 from bowden.bench.configuration import drawn, override
-from bowden.cli.deferred import on_first_use
 from bowden.cli.terminal import CommandAnswer, answered
+from bowden.deferred import on_first_use
 from parameters import InputError
 from physics.effects.separating_experiments import SCRIPTED
 

@@ -9,18 +9,26 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bowden import model_files, output_files
+from bowden.deferred import on_first_use
 from bowden.model_files import BenchModel, Model
+from bowden.trials.force_paths import opened
 from bowden.trials.recorded_trial import Trial
 from parameters import InputError
 from trial.report.words import words
 
-if TYPE_CHECKING:
+with on_first_use():
+    from diagnosis import extension
+    from diagnosis.extension import resized
+    from diagnosis.finder import Finder
     from diagnosis.findings import Findings
     from diagnosis.laws.law_result import Laws
+    from diagnosis.report import diagnosis_page
+    from estimation.data import table, windows
     from estimation.data.table import Table
+    from physics.effects import own_effects
 
 
 Given = Trial | str | Path
@@ -38,9 +46,6 @@ class Diagnosis:
 
     def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, path: str | None = None,
                  effects: Iterable[str | Path] = ()) -> None:
-        from diagnosis.finder import Finder
-        from physics.effects import own_effects
-
         self.model = None if model is None else model_files.given(model)
         known = None if self.model is None else dataclasses.replace(self.model, effects={}, found={})
         self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz,
@@ -97,8 +102,6 @@ class DiagnosisResult:
 
     def scaled(self, share: float) -> DiagnosisResult:
         """Return the result with the sizes of all effects, and the coefficients of terms, changed by `share`."""
-        from diagnosis.extension import resized
-
         def scaled(cause: Mapping[str, Any]) -> dict[str, Any]:
             was = cause.get("was", {}).get(next(iter(cause["parameters"])), 0.0)
             return dict(resized(cause, lambda size: was + share * (size - was)))
@@ -137,14 +140,10 @@ class DiagnosisResult:
 
         Raises `InputError` if the trials were refused.
         """
-        from diagnosis import extension
-
         return extension.extended(model_files.given(self._model), self.found, self._trials)
 
     def report(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write one HTML page that needs no network; raises `InputError` where the trials were refused."""
-        from diagnosis.report import diagnosis_page
-
         if self.verdict == "refused":
             raise InputError(f"{path}: the trials were refused ({self.warnings[0]}); mend the data first.")
         output_files.refuse([Path(path)], overwrite=overwrite)
@@ -158,11 +157,8 @@ def on_its_footing(found: Findings, trials: Sequence[Path], path: str | None, *,
     This is so if every trial ran on the packaged calibration; `path`: the force path of trials of several;
     `measured`: a calibration or reference trials were given.
     """
-    from bowden.trials.force_paths import opened
-    from estimation.data.table import NOMINAL
-
     measured = measured or not all(
-        file.suffix.lower() == ".mcap" and opened(file, path).metadata.get("calibration") == NOMINAL
+        file.suffix.lower() == ".mcap" and opened(file, path).metadata.get("calibration") == table.NOMINAL
         for file in trials)
     return found if measured or found.verdict == "refused" else found.unnamed()
 
@@ -174,8 +170,6 @@ def several(given: Given | Iterable[Given]) -> list[Given]:
 
 def table_of(given: Given, path: str | None) -> Table:
     """Return the columns of a trial, of a long one in windows; `path`: the force path of a trial of several."""
-    from estimation.data import windows
-
     return windows.read(given.path if isinstance(given, Trial) else given, path)
 
 
@@ -185,8 +179,6 @@ def discover(trials: Given | Iterable[Given], healthy: Given | Iterable[Given], 
 
     `trials`: of one session.  `lowpass_hz`, `path`: as of `bowden.Diagnosis`.  Raises `InputError` for unusable files.
     """
-    from diagnosis.finder import Finder
-
     chosen = several(trials)
     tables = [table_of(trial, path) for trial in chosen]
     finder = Finder(None, lowpass_hz).examine([table_of(trial, path) for trial in several(healthy)])

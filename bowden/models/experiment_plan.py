@@ -10,11 +10,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from bowden.bench import buses, configuration
+from bowden.deferred import on_first_use
 from bowden.models import logbook_entries
 from diagnosis.evidence import decision
 from diagnosis.evidence.experiment_prediction import DECIDES, PlannedExperiment, predicted_experiments
@@ -31,8 +33,10 @@ from parameters import InputError, read_toml
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
 
-if TYPE_CHECKING:
+with on_first_use():
+    from bowden.trials import session
     from diagnosis.evidence.planned_limits import Plan
+    from diagnosis.evidence.planned_limits import plan as planned
 
 GAIT = "gait"
 
@@ -59,8 +63,6 @@ def plan(name: str, walk: WalkPlan = AS_CONFIGURED, calibration: Path | None = N
     `healthy`: reference trials of the bench to be examined, `calibration` its calibration. Without both, a gait and the
     experiment itself, simulated, are the reference trials. Raises `InputError`.
     """
-    from diagnosis.evidence.planned_limits import plan as planned
-
     with TemporaryDirectory(prefix="bowden-") as folder:
         recorded = {each: Path(folder) / f"{each}.mcap" for each in dict.fromkeys((GAIT, name))}
         wanted = [name] if healthy or calibration else list(recorded)
@@ -76,9 +78,6 @@ def plan(name: str, walk: WalkPlan = AS_CONFIGURED, calibration: Path | None = N
 def simulate(name: str, walk: WalkPlan, recorded: Path, *, day: int = 0,
              plant_model: Mapping[str, Any] | None = None) -> None:
     """Record the experiment on the nominal bench, or on `plant_model`, its sensors as noisy as asked for."""
-    from bowden.bench import buses, configuration
-    from bowden.trials import session
-
     sections = configuration.read(None)
     sections["gait"] = configuration.override(sections["gait"], {
         "peak_n": ("--peak", walk.peak_n), "period_s": ("--period", walk.period_s), "cycles": ("--cycles", walk.cycles),

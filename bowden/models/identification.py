@@ -6,11 +6,12 @@ import dataclasses
 import datetime
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from bowden import model_files
 from bowden.bench import buses, configuration
 from bowden.bench.buses import BusSettings, opened
+from bowden.deferred import on_first_use
 from bowden.model_files import BenchModel, Model
 from bowden.progress import SILENT, Progress
 from bowden.trials import force_paths, provenance, recorded, session
@@ -23,8 +24,12 @@ from trial.read import PATHS
 from trial.record import Recorder, RecordingError
 from trial.signals import of_bench
 
-if TYPE_CHECKING:
+with on_first_use():
+    from estimation import bench_fit
     from estimation.transfer.calibration_fit import Segment
+    from master.identification import identify as procedures
+    from master.network.link import Link
+    from physics import inverse
     from physics.calibration import Calibration
 
 
@@ -54,16 +59,13 @@ def perform(
     On a bench of several paths a file `guess` names one file of each path (`force_paths.file_of`). "all" ends with gait
     trials if `gait`; if one stops, the calibration has the discrepancy of those before it.
     """
-    from master.identification import identify
-    from master.network.link import Link
-
     network = sections["network"]
-    if what == "gait" and not (gait and identify.with_gait(what, network)):
+    if what == "gait" and not (gait and procedures.with_gait(what, network)):
         raise InputError("identify gait: needs END, a knee drive and no --no-gait; give identify all instead.")
     paths = [path.name for path in network.bench.force_paths] if force_paths.several(network.bench) else [""]
     guesses = {path: _calibration(force_paths.file_of(guess, path) if path and isinstance(guess, Path) else guess)
                or nominal() for path in paths}
-    wanted = identify.Identification(
+    wanted = procedures.Identification(
         what=what, guess=guesses[paths[0]], guesses=guesses, network=network, limits=sections["limits"],
         homing=sections["homing"])
     session.compile_laws(simulated=chosen.simulated, progress=progress)
@@ -79,20 +81,20 @@ def perform(
             threaded=not chosen.simulated, overwrite=overwrite, signals=of_bench(network.bench))
         link = Link(bus.bus, bus.clock)
         with session.discarding(recorder), progress.running(f"identify {what}") as update:
-            progress.remark(identify.pulls(wanted, gait=gait and identify.with_gait(what, network)))
-            outcome, segments = identify.run(link, bus.tap, recorder, wanted, lambda _part, share: update(share))
+            progress.remark(procedures.pulls(wanted, gait=gait and procedures.with_gait(what, network)))
+            outcome, segments = procedures.run(link, bus.tap, recorder, wanted, lambda _part, share: update(share))
         found = [IdentificationResult(outcome.reason, None, own, path)
                  for path, own in zip(paths, segments.values(), strict=True)]
         if outcome.reason is None:
             with progress.waiting("fitting"):
-                found = [each._replace(calibration=identify.calibrate(
+                found = [each._replace(calibration=procedures.calibrate(
                     what, each.segments, guesses[each.path],
                     bench=force_paths.bench_of(chosen.bench, each.path) if each.path else chosen.bench,
                     date=date, trial=recording.name)) for each in found]
-            if gait and identify.with_gait(what, network):
+            if gait and procedures.with_gait(what, network):
                 named = [each.path or network.bench.force_paths[0].name for each in found]
                 with progress.running("gait trials") as update:
-                    reason, gaits = identify.walk(link, bus.tap, recorder, wanted, {
+                    reason, gaits = procedures.walk(link, bus.tap, recorder, wanted, {
                         name: each.calibration or nominal() for name, each in zip(named, found, strict=True)},
                         lambda _part, share: update(share))
                     found = [_walked(reason, gaits[name], each) for name, each in zip(named, found, strict=True)]
@@ -108,10 +110,8 @@ def perform(
 
 def _walked(reason: str | None, gaits: Sequence[Segment], found: IdentificationResult) -> IdentificationResult:
     """Return an identification with the discrepancy fitted to its gait trials; `reason`: why these stopped."""
-    from master.identification import identify
-
     segments = [*found.segments, *gaits]
-    known = None if found.calibration is None else identify.with_discrepancy(found.calibration, segments)
+    known = None if found.calibration is None else procedures.with_discrepancy(found.calibration, segments)
     return found._replace(reason=reason, calibration=known, segments=segments)
 
 
@@ -122,21 +122,18 @@ def again(
 
     Raises `InputError` for trials of two benches, or where an experiment that `what` needs is in none of them.
     """
-    from master.identification import identify
-    from physics import inverse
-
     given = [trial.open(path) for path in trials]
     benches = {each.metadata.get("bench", "") for each in given} - {""}
     if len(benches) > 1:
         raise InputError(f"--from: the trials are of different benches, {' and '.join(sorted(benches))}; "
                          "identify one bench at a time.")
-    segments = [segment for each in given for segment in identify.recorded(each)]
+    segments = [segment for each in given for segment in procedures.recorded(each)]
     start = _calibration(guess) or recorded.calibration(given[0])
     inverse.prepare()
     with progress.waiting("fitting"):
-        found = identify.calibrate(what, segments, start, bench=next(iter(benches), ""), date=date,
+        found = procedures.calibrate(what, segments, start, bench=next(iter(benches), ""), date=date,
                                    trial=", ".join(path.name for path in trials))
-        return IdentificationResult(None, identify.with_discrepancy(found, segments), segments)
+        return IdentificationResult(None, procedures.with_discrepancy(found, segments), segments)
 
 
 def _calibration(given: Path | Calibration | None) -> Calibration | None:
@@ -189,8 +186,6 @@ def fit(
     zero-phase low-pass on every signal, Hz. Errors on held-out trials are in `BenchModel.fitted`; the constants of a
     rig of another kind are in `BenchModel.rig`. Raises `InputError`.
     """
-    from estimation import bench_fit
-
     with progress.waiting("fitting"):
         paths = [each.path if isinstance(each, Trial) else Path(each) for each in trials]
         return dataclasses.replace(bench_fit.fit(paths, lowpass_hz).model, label="fit")

@@ -10,10 +10,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
+from bowden.bench.buses import BusSettings
+from bowden.deferred import on_first_use
 from estimation.data import table, windows
 from estimation.linear_sums import session_sums
 from logbook.bench_state import (
@@ -34,8 +36,10 @@ from physics.forward.path_constants import FREE, TABLE
 from trial import read
 from trial.read import one_path, path_names
 
-if TYPE_CHECKING:
-    from bowden.bench.buses import BusSettings
+with on_first_use():
+    from diagnosis.finder import Finder
+    from diagnosis.report.headline import headline
+    from trial.report.compare_page import judged
 
 EPOCH_NS: Final = 10**17
 """Time of a recording, ns, from which it is a date and not a time since the start: 1973."""
@@ -164,8 +168,6 @@ def _described(path: Path, figures: Mapping[str, Any] | None, force_path: str) -
 
 
 def _figures(recorded: read.Trial) -> dict[str, Any]:
-    from trial.report.compare_page import judged
-
     found = judged(recorded)
     return {name: found.get(name) for name in FIGURES} if found else {}
 
@@ -256,9 +258,6 @@ def change_trials(book: Logbook) -> ChangeTrials | None:
 
 def _diagnosed(book: Logbook, state: BenchState) -> Cause:
     """Diagnose the newest session since the first alarm; raises `InputError` if trials are missing or unusable."""
-    from diagnosis.finder import Finder
-    from diagnosis.report.headline import headline
-
     given = trials_of(book, state.alarms[0], state.sessions, state.notes)
     before, since = ([windows.read(book.place(trial.path), book.path or None) for trial in trials]
                      for trials in (given.references, given.trials))

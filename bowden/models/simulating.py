@@ -9,20 +9,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bowden import model_files
 from bowden.bench import buses
+from bowden.deferred import on_first_use
 from bowden.model_files import Model
 from bowden.progress import SILENT, Progress
 from bowden.trials.recorded_trial import Trial
 from trial.signals import SIGNALS
 
-if TYPE_CHECKING:
-    from bowden.replay.onto_plant import SignalResidual
+with on_first_use():
+    from bowden.replay import onto_plant
+    from bowden.replay.onto_plant import SignalResidual, figure
+    from estimation import bench_fit, simulation
+    from estimation.data import table
     from physics.bench_model import BenchModel
 
 
@@ -47,8 +50,6 @@ def simulate(model: Model | None, trial: Trial | str | Path, *, progress: Progre
     A trial without CAN frames (MCAP or CSV) is simulated under its measured rope and knee motion, START and END
     alone.
     """
-    from bowden.replay import onto_plant
-
     known = model_files.given(model)
     if not isinstance(trial, Trial) and Path(trial).suffix.lower() != ".mcap":
         return _under_motion(known, Path(trial))
@@ -61,10 +62,6 @@ def simulate(model: Model | None, trial: Trial | str | Path, *, progress: Progre
 
 def _under_motion(known: BenchModel, path: Path) -> Simulation:
     """Return both tensions as the simulation has them under the measured motion of a file's rope and knee."""
-    from bowden.replay.onto_plant import figure
-    from estimation import bench_fit, simulation
-    from estimation.data import table
-
     given = table.read(path)
     told = simulation.simulate(bench_fit.as_fitted(given, known), known.simulation_values())
     time_ns = np.round(1e9 * given["time_s"]).astype(np.int64)

@@ -10,12 +10,13 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bowden import output_files
+from bowden.deferred import on_first_use
 from bowden.pages import load_prediction as load
 from bowden.progress import SILENT, Progress
 from eds.bench import bus_load
@@ -25,8 +26,10 @@ from trial import metrics, read
 from trial.read import one_path
 from trial.truth_file import open_truth
 
-if TYPE_CHECKING:
+with on_first_use():
+    from bowden.pages.picture import draw
     from master.motion.experiment_run import ExperimentSetup, Result
+    from trial.report import trial_page
 
 Floats = NDArray[np.float64]
 UNCOUNTED = 10**9
@@ -176,8 +179,6 @@ def true_end(truth: Path, recorded: read.Trial) -> Floats:
 def picture(output: Path, path: Path, experiment: ExperimentSetup,
             paths: Mapping[str, ExperimentSetup] = MappingProxyType({})) -> None:
     """Draw the trial; `paths`: as in `figures`."""
-    from bowden.pages.picture import draw
-
     gait, recorded = experiment.gait, read.open(output)
     title = f"{gait.peak_n:g} N, {gait.period_s:g} s, controller {gait.controller}"
     draw({f"{name}: {title}": one_path(recorded, name).columns for name in paths} or {title: recorded.columns}, path)
@@ -191,8 +192,6 @@ def write_trial_page(
     recorded: read.TrialFile, path: Path, *, overwrite: bool = False, progress: Progress = SILENT
 ) -> int:
     """Write a trial as one HTML page that needs no network; returns its bytes.  Raises `InputError`."""
-    from trial.report import trial_page
-
     output_files.refuse([path], overwrite=overwrite, inputs=[recorded.path])
     with progress.running("report") as update:
         return trial_page.write(

@@ -7,29 +7,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bowden.deferred import on_first_use
 from estimation.transfer import calibration_fit
 from estimation.transfer.calibration_fit import Segment
 from physics import laws
 from trial.report.plot import Plot, Series, picture, save
 from trial.report.words import display_unit, words
 
-if TYPE_CHECKING:
+with on_first_use():
     from diagnosis.laws.law_result import Laws
+    from diagnosis.report import law_section
 
 SAMPLES, FIT, PAPER = "#b5bcc6", "#1f6fb2", "#d9730d"
 
 
 def draw_law(laws: Laws, path: Path) -> None:
     """Write a PNG, SVG or PDF (by suffix) with one panel for each term: that of the report, with every residual."""
-    from diagnosis.report.law_section import AXES, term_plot
-
     plots = []
     for term, shown in zip(laws.terms, laws.pictures, strict=False):
-        plot, factor = term_plot(shown), display_unit(AXES[shown.variable][1])[1]
+        plot, factor = law_section.term_plot(shown), display_unit(law_section.AXES[shown.variable][1])[1]
         residuals = Series("residuals", shown.residual, SAMPLES, width=1.5, points=True, x=factor * shown.at)
         plots.append(plot._replace(title=term.equation.split(", size")[0], series=[residuals, *plot.series],
                                    y_label=f"{words(shown.output)} ({shown.unit})"))

@@ -12,16 +12,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
+from bowden.bench import buses
+from bowden.bench.buses import BusSettings
+from bowden.deferred import on_first_use
 from bowden.progress import SILENT, Progress
 from parameters import InputError
 
-if TYPE_CHECKING:
-    from bowden.bench.buses import BusSettings
+with on_first_use():
+    from bowden.replay import onto_controller, onto_plant
     from bowden.replay.onto_controller import ControllerComparison
     from bowden.replay.onto_plant import Residuals
+    from bowden.trials import recorded
     from bowden.trials.recorded_trial import Trial
+    from eds.bench.bench_network import Network, wire
     from trial.read import Trial as Recorded
 
 __all__ = ["onto"]
@@ -37,20 +42,12 @@ def onto(
     simulated bench, `bus` (None: the one of serial number 1). `allow`: a controller outside of this package that the
     trial names and that may be imported. Raises `InputError`; replay onto a real bus is `bowden replay`.
     """
-    from bowden.bench import buses
-    from bowden.trials import recorded
-    from bowden.trials.recorded_trial import Trial
-
     if target not in ("controller", "plant"):
         raise InputError(f"onto {target!r}: expected 'controller' or 'plant'; say bowden replay for a real bus.")
     given = (trial if isinstance(trial, Trial) else Trial(trial)).recorded
     refuse_imported(given, target)
     if target == "plant":
-        from bowden.replay import onto_plant
-
         return onto_plant.replay(given, bus or buses.simulated(), progress=progress)
-    from bowden.replay import onto_controller
-
     experiment = recorded.experiment(given, allowed=allow)
     with progress.running("controller") as update:
         return onto_controller.replay(given, experiment, update)
@@ -65,8 +62,6 @@ def refuse_imported(recorded: Recorded, onto: str) -> None:
     if not len(recorded.frames):
         raise InputError(f"{said}, a table without CAN frames, so nothing of it can be replayed; bowden diagnose reads "
                          "it, and bowden report shows it.")
-    from eds.bench.bench_network import Network, wire
-
     commands = bool((recorded.frames["can_id"] == wire(Network()).targets.cob_id).any())
     others = "--onto bus" + (" or --onto plant" if commands else "")
     if onto == "controller":

@@ -18,8 +18,9 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+from bowden.deferred import on_first_use
 from bowden.progress import SILENT, Progress
 from bowden.sweep import row_trial
 from bowden.sweep.rows import IDENTIFIED, Row, placed
@@ -28,8 +29,10 @@ from bowden.trials import session
 from parameters import InputError
 from parameters.files import write_whole
 
-if TYPE_CHECKING:
+with on_first_use():
+    from bowden.models.diagnosing import on_its_footing
     from diagnosis.finder import Finder
+    from diagnosis.findings import Findings
 
 CONNECT_S = 10
 ENDED = "the process that ran it ended by itself: out of memory, or a plug-in that ends it"
@@ -229,9 +232,6 @@ class DiagnosisSettings:
 
 def diagnose(trial: Path, settings: DiagnosisSettings) -> dict[str, Any]:
     """Return one trial's diagnosis as `bowden diagnose --json` gives it."""
-    from bowden.models.diagnosing import on_its_footing
-    from diagnosis.findings import Findings
-
     began = time.perf_counter()
     try:
         told = on_its_footing(_finder(settings, _state(settings)).diagnose([trial], settings.holdout), [trial], None,
@@ -244,8 +244,6 @@ def diagnose(trial: Path, settings: DiagnosisSettings) -> dict[str, Any]:
 @lru_cache(maxsize=1)
 def _finder(settings: DiagnosisSettings, state: tuple[tuple[int, int], ...]) -> Finder:
     """Return the fitted diagnosis: its reference trials are read and fitted once in a process."""
-    from diagnosis.finder import Finder
-
     return Finder(settings.calibration, settings.lowpass).examine(settings.healthy)
 
 

@@ -5,17 +5,23 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bowden.bench.configuration import as_text
+from bowden.deferred import on_first_use
 
-if TYPE_CHECKING:
+with on_first_use():
+    from bowden.trials import provenance
+    from eds import declaration
     from eds.bench.bench_network import Network
     from eds.declaration import DeclaredBench, ForcePath
     from master.motion.experiment_run import ExperimentSetup
+    from master.own_limits import counted, of_path
     from physics.bench_model import BenchModel
+    from physics.calibration import write
     from physics.reference import Reference
-    from trial.read import TrialFile
+    from trial import read
+    from trial.read import TrialFile, one_path, path_names
 
 
 def several(bench: DeclaredBench) -> bool:
@@ -42,15 +48,11 @@ def bench_of(bench: str, path: str) -> str:
 
 def reference_of(reference: Reference, acts: str, co_contraction: float) -> Reference:
     """Return the reference of a path: that of an antagonist is mirrored, with its share of the force."""
-    from eds.declaration import EXTENDS, MIRROR_RAD
-
-    return reference.mirrored(MIRROR_RAD, co_contraction) if acts == EXTENDS else reference
+    return reference.mirrored(declaration.MIRROR_RAD, co_contraction) if acts == declaration.EXTENDS else reference
 
 
 def setup_of(whole: ExperimentSetup, path: ForcePath, **changed: Any) -> ExperimentSetup:
     """Return the experiment of one path."""
-    from master.own_limits import counted
-
     network = dataclasses.replace(whole.network, bench=whole.network.bench.path(path.name))
     reference = reference_of(whole.reference, path.acts, whole.gait.co_contraction)
     limits = counted(whole.limits, whole.network.bench, path)
@@ -59,24 +61,18 @@ def setup_of(whole: ExperimentSetup, path: ForcePath, **changed: Any) -> Experim
 
 def metadata(setups: Mapping[str, ExperimentSetup], network: Network) -> dict[str, str]:
     """Return what identifies each path in a trial, as text."""
-    from bowden.trials import provenance
-    from trial.read import ALONE, PATHS
-
-    found = {PATHS: " ".join(setups)}
+    found = {read.PATHS: " ".join(setups)}
     for path in network.bench.force_paths:
         setup = setups[path.name]
         joints = [other.joint for other in network.bench.force_paths]
         own = {**provenance.metadata(setup), "peak_n": repr(setup.reference.peak_n), "acts": path.acts,
-               ALONE: str(joints.count(path.joint) == 1).lower()}
-        found |= {f"{path.name}.{key}": own[key] for key in ("calibration", "peak_n", "course", "acts", ALONE)}
+               read.ALONE: str(joints.count(path.joint) == 1).lower()}
+        found |= {f"{path.name}.{key}": own[key] for key in ("calibration", "peak_n", "course", "acts", read.ALONE)}
     return found
 
 
 def attachments(setups: Mapping[str, ExperimentSetup], sections: Mapping[str, Any]) -> dict[str, bytes]:
     """Return configuration and calibration of each path, as files of a trial of a single one."""
-    from master.own_limits import of_path
-    from physics.calibration import write
-
     found: dict[str, bytes] = {}
     bench = sections["network"].bench
     for name, setup in setups.items():
@@ -91,8 +87,5 @@ def opened(file: Path, path: str | None, *, whole: bool = False) -> TrialFile:
 
     Raises `InputError` for a trial of several paths where no path is named, and for a path that it has not.
     """
-    from trial import read
-    from trial.read import one_path, path_names
-
     found = read.open_file(file)
     return one_path(found, path) if path is not None or (path_names(found) and not whole) else found

@@ -12,15 +12,19 @@ from dataclasses import asdict
 from hashlib import sha256
 from importlib import metadata as installed
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bowden.bench import configuration
 from bowden.bench.configuration import PERSON, as_text
+from bowden.deferred import on_first_use
 
-if TYPE_CHECKING:
+with on_first_use():
+    from eds.bench import bench_network
+    from eds.dictionary import packaged
     from master.motion.experiment_run import ExperimentSetup
     from physics.bench_model import BenchModel
-    from physics.calibration import Calibration
+    from physics.calibration import Calibration, write
+    from safety_monitor import read
 
 CONTROLLER_MODEL = "controller_model.toml"
 PACKAGES = ("bowden-bench", "canopen", "mcap", "numba", "numpy", "python-can", "scipy", "zstandard")
@@ -54,8 +58,6 @@ def monitored(file: str) -> dict[str, str]:
     """Return the digest of the safety monitor's file and whose bounds it has; nothing without a monitor."""
     if not file:
         return {}
-    from safety_monitor import read
-
     bounds = read(Path(file))
     return {"monitor_person": bounds.person, "monitor_sha256": bounds.sha256}
 
@@ -76,11 +78,7 @@ def course(experiment: ExperimentSetup) -> str:
 
 def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[str, bytes]:
     """Return the files that make the trial readable alone: configuration, calibration, packages, EDS files."""
-    from eds.bench.bench_network import FILES
-    from eds.dictionary import packaged
-    from physics.calibration import write
-
-    devices = {f"{name}.eds": packaged(name).read_bytes() for name in sorted(set(FILES.values()))}
+    devices = {f"{name}.eds": packaged(name).read_bytes() for name in sorted(set(bench_network.FILES.values()))}
     devices |= {Path(mapping.file).name: Path(mapping.file).read_bytes()
                 for mapping in sections["network"].bench.other_devices.values() if mapping.file}
     devices |= {Path(device.type.file).name: Path(device.type.file).read_bytes()

@@ -15,13 +15,18 @@ from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from bowden.bench import configuration
+from bowden.deferred import on_first_use
+from bowden.trials import force_paths
 from parameters import InputError, read_toml
+from physics.effects.separating_experiments import SCRIPTED
 
-if TYPE_CHECKING:
+with on_first_use():
+    from bowden.trials import provenance, repeated_motion, session
     from master.motion.experiment_run import ExperimentSetup
-    from physics.calibration import Calibration
+    from physics.calibration import Calibration, read
     from trial.read import Trial
 
 FILES = ("bench.toml", "calibration.toml")
@@ -34,10 +39,6 @@ def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = 
     `scripts` also takes those that ran in place of the gait (see `script`).  `allowed`: the controller "module:Class"
     that may be imported because the trial names it; a received file must not decide which code runs.
     """
-    from bowden.trials import force_paths, provenance, repeated_motion, session
-    from master.motion.experiment_run import ExperimentSetup
-    from physics.calibration import read
-
     if recorded.metadata.get("experiment") != "gait" and not (scripts and script(recorded)):
         told = recorded.metadata.get("experiment", "nothing of the kind")
         raise InputError(f"{recorded.path}: records {told}, not a gait; give a trial of bowden trial.")
@@ -67,16 +68,12 @@ def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = 
 
 def script(recorded: Trial) -> str:
     """Return the name of the experiment that a trial ran in place of the gait; "" if none is known."""
-    from physics.effects.separating_experiments import SCRIPTED
-
     named = recorded.metadata.get("experiment", "")
     return named if named in SCRIPTED else ""
 
 
 def sections(recorded: Trial) -> dict[str, Any]:
     """Return the configuration that a trial carries, as its checked sections; the defaults if it carries none."""
-    from bowden.bench import configuration
-
     if "bench.toml" not in recorded.attachments:
         return configuration.read(None)
     with _unpacked(recorded, ("bench.toml",)) as folder:
@@ -122,16 +119,12 @@ def _copies() -> Path:
 
 def calibration(recorded: Trial) -> Calibration:
     """Return the calibration that a trial was run with; raises `InputError` if it carries none."""
-    from physics.calibration import read
-
     with _unpacked(recorded, ("calibration.toml",)) as folder:
         return read(folder / "calibration.toml")
 
 
 @contextmanager
 def _unpacked(recorded: Trial, needed: tuple[str, ...]) -> Iterator[Path]:
-    from bowden.trials import provenance
-
     attached: Mapping[str, bytes] = recorded.attachments
     for name in needed:
         if name not in attached:

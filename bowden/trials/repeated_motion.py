@@ -11,16 +11,19 @@ import dataclasses
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from bowden.bench.buses import BusSettings
+from bowden.deferred import on_first_use
 from parameters import InputError
 
-if TYPE_CHECKING:
-    from bowden.bench.buses import BusSettings
+with on_first_use():
+    from bowden.trials import provenance, recorded, session
     from bowden.trials.session import PreparedTrial
     from master.control.controller import RecordedTargets
+    from trial import read
     from trial.read import Trial
 
 ATTACHMENT = "targets.csv"
@@ -52,9 +55,6 @@ def prepared(given: Path, sections: Mapping[str, Any], chosen: BusSettings) -> P
 
     Raises `InputError` for a trial whose motion cannot be repeated.
     """
-    from bowden.trials import provenance, recorded, session
-    from trial import read
-
     trial = read.open(given)
     if trial.metadata.get("dry_run") == "true" or (trial.result or {}).get("outcome") != "completed":
         raise InputError(f"{given}: --motion-of needs a trial that moved the bench to its end.")
@@ -77,8 +77,6 @@ def prepared(given: Path, sections: Mapping[str, Any], chosen: BusSettings) -> P
 
 def sent_targets(trial: Trial) -> RecordedTargets:
     """Return the targets of a trial's gait, run-in and run-out, by control cycle; raises `InputError` without them."""
-    from master.control.controller import RecordedTargets
-
     walked = np.isfinite(trial.columns["gait_percent"])
     rope, knee = (trial.columns[name][walked] for name in COLUMNS)
     if not np.isfinite(rope).all() or not np.isfinite(knee).all():
@@ -97,8 +95,6 @@ def text(targets: RecordedTargets) -> bytes:
 
 def targets_of(attachments: Mapping[str, bytes]) -> RecordedTargets | None:
     """Return the targets that a trial repeated; None where its controller's own were sent."""
-    from master.control.controller import RecordedTargets
-
     if ATTACHMENT not in attachments:
         return None
     rope, knee = np.loadtxt(io.BytesIO(attachments[ATTACHMENT]), delimiter=",", skiprows=1, unpack=True, ndmin=2)

@@ -12,12 +12,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from bowden import output_files
 from bowden.bench import configuration
 from bowden.bench.buses import BusSettings, opened
 from bowden.bench.configuration import override
+from bowden.deferred import on_first_use
 from bowden.progress import SILENT, Progress
 from bowden.trials import force_paths
 from parameters import InputError, read_toml
@@ -25,16 +26,32 @@ from trial import read
 from trial.record import Recorder, RecordingError
 from trial.signals import Signal, of_bench
 
-if TYPE_CHECKING:
+with on_first_use():
+    import nodes
+    from bowden.bench import monitor_program
+    from bowden.pages import figures as report
+    from bowden.trials import provenance, recorded, setup_checks
+    from eds.bench import bus_load
+    from eds.bench.bench_network import wire
+    from logbook.database import refuse_no_logbook
+    from master.control import controller
     from master.cycle.log import CycleSink
+    from master.cycle.safety import Condition
     from master.motion.experiment_run import ExperimentSetup, PreparedExperiment, Result
     from master.motion.paths_run import PlannedPaths
-    from master.motion.scripted_experiments import Scripted
+    from master.motion.scripted_experiments import Scripted, checked, laps
+    from master.network.link import Link
     from master.settings import Gait, Walk
-    from physics.bench_model import BenchModel
+    from parameters.plugins import load
+    from physics import bench_model, inverse, stride_walk
+    from physics import reference as law
+    from physics.bench_model import BenchModel, nominal
+    from physics.calibration import refuse_beyond_validity
+    from physics.plant import bench_plant
     from physics.reference import Reference
     from physics.stride_walk import Stride
-    from trial.record import Recorder
+    from trial.curves import FORCE, Curve, read_curve, read_desired, read_strides
+    from virtual_bus.compiled import cycle_code
 
 
 TABLE_RAD = 0.05
@@ -71,19 +88,12 @@ class PreparedTrial:
     @property
     def laps(self) -> int:
         """Number of gait cycles, or laps of the script."""
-        from master.motion.scripted_experiments import laps
-
         cycles = self.experiment.walk.parts or self.experiment.gait.cycles
         return laps(self.script, cycles) if self.script else cycles
 
     def planned(self) -> PreparedExperiment | Scripted | PlannedPaths:
         """Return the experiment with its tables and a tested controller; raises `InputError` for unusable ones."""
-        from master.motion.experiment_run import PreparedExperiment
-        from master.motion.scripted_experiments import Scripted
-
         if self.paths:
-            from master.motion.paths_run import PlannedPaths
-
             return PlannedPaths(self.paths, self.experiment, self.script)
         return Scripted(self.experiment, self.script) if self.script else PreparedExperiment(self.experiment)
 
@@ -99,17 +109,12 @@ def entered(sections: dict[str, Any], logbook: Path | None, config: Path | None)
     if found is None and told:
         found = Path(told) if config is None else config.parent / told
     if found is not None:
-        from logbook.database import refuse_no_logbook
-
         refuse_no_logbook(found)
     return found
 
 
 def strides(knee: Path | None, walk: Walk) -> tuple[Stride, ...]:
     """Return the strides of a knee file that a walk plays in random order; none where one repeats."""
-    from physics.stride_walk import Stride
-    from trial.curves import read_strides
-
     if knee is None or not walk.strides:
         return ()
     return tuple(Stride(one.percent, one.values, one.stride_s) for one in read_strides(knee))
@@ -123,10 +128,6 @@ def reference(
 
     The knee of a `walk` of several strides is their mean.
     """
-    from physics import reference as law
-    from physics import stride_walk
-    from trial.curves import Curve, read_curve, read_desired
-
     notes: list[str] = []
     angle = law.paper_angle()
     several = () if walk is None else strides(knee, walk)
@@ -161,10 +162,6 @@ def desired_file(desired: Path | None) -> Path | None:
     """
     if desired is None or ":" not in desired.name or desired.exists():
         return desired
-    from bowden.trials import recorded
-    from parameters.plugins import load
-    from trial.curves import FORCE
-
     function = load("desired force", str(desired), "bowden.desired_forces", {})
     rows = ["gait_percent,knee_angle_rad,desired_force_n"]
     for percent in range(100):
@@ -191,15 +188,6 @@ def prepare(
     compensates, too: files, or their content. `knee` is the file of the strides that a walk plays. A bench with a limb
     is refused without a file of recent set-up checks.
     """
-    from bowden.trials import provenance, setup_checks
-    from eds.bench import bus_load
-    from eds.bench.bench_network import wire
-    from master.control import controller
-    from master.motion.experiment_run import ExperimentSetup
-    from master.motion.scripted_experiments import checked
-    from physics.bench_model import nominal
-    from physics.calibration import refuse_beyond_validity
-
     bus_load.refuse(wire(sections["network"]))
     configuration.refuse_raised(sections["limits"], "this bench")
     configuration.refuse_unheld(sections, "this bench")
@@ -243,8 +231,6 @@ def prepare_gait(
     `peak_given`, `period_given`: the user chose them, so that a file does not.  Unless `settle_given`, the last cycle
     is in the figures.  Raises `InputError` as `prepare` does.
     """
-    from bowden.trials import provenance
-
     expected, gait, notes = reference(
         sections["gait"], knee, desired, period_given=period_given, peak_given=peak_given, walk=sections["walk"],
         rate_hz=sections["network"].rate_hz)
@@ -269,11 +255,6 @@ def _several_paths(
 
     A controller model may have a file of some of the paths alone; no effect is compensated on the others.
     """
-    from master.control import controller
-    from master.motion.experiment_run import ExperimentSetup
-    from physics.bench_model import nominal
-    from physics.calibration import refuse_beyond_validity
-
     whole = ExperimentSetup(reference=reference, dry_run=dry_run, **sections)
     setups: dict[str, ExperimentSetup] = {}
     without = set() if controller_model is None else force_paths.without_file(controller_model, sections["network"])
@@ -292,15 +273,11 @@ def _several_paths(
 
 
 def _read(given: Path | BenchModel | None, bench: str = "") -> BenchModel | None:
-    from physics import bench_model
-
     return bench_model.read(given, bench=bench) if isinstance(given, Path) else given
 
 
 def _bench(chosen: BusSettings) -> str:
     """Return the bench that a calibration must belong to: that of a simulated model if it was measured on a bench."""
-    from physics import bench_model
-
     simulated = chosen.arguments.get("plant_model")
     if simulated is None:
         return chosen.bench
@@ -325,12 +302,6 @@ def perform(
     `announce` is remarked when the bus is open, before anything is sent; each `watch` receives the records during the
     run: the live page, a diagnosis.
     """
-    from bowden.bench import monitor_program
-    from bowden.pages import figures as report
-    from bowden.trials import provenance
-    from master.cycle.safety import Condition
-    from master.network.link import Link
-
     network, simulated = prepared.experiment.network, prepared.chosen.simulated
     truth = output.with_name(f"{output.stem}.truth.mcap") if simulated else None
     output_files.refuse([output, truth, picture], overwrite=overwrite)
@@ -425,16 +396,10 @@ def discarding(recorder: Recorder) -> Iterator[None]:
 
 def compile_laws(*, simulated: bool, progress: Progress = SILENT) -> None:
     """Compile all numba functions that are not cached on this machine; remark the seconds it took."""
-    import nodes
-    from physics import inverse
-    from physics.plant import bench_plant
-
     began, compiled = time.perf_counter(), False
     with progress.waiting("preparing; a first run on a machine compiles the laws"):
         inverse.prepare()
         if simulated:
-            from virtual_bus.compiled import cycle_code as cycle_code
-
             nodes.prepare()
             compiled = bench_plant.prepare() | cycle_code.prepare()
     if compiled:

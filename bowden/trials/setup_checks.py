@@ -9,18 +9,21 @@ from __future__ import annotations
 import datetime
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bowden.bench.buses import BusSettings, opened
+from bowden.deferred import on_first_use
 from bowden.trials import session
 from bowden.trials.force_paths import file_of
 from parameters import InputError
 from parameters.files import write_whole
 
-if TYPE_CHECKING:
+with on_first_use():
     from eds.declaration import DeclaredBench, ForcePath
-    from master.cycle.run_safely import Outcome
+    from master.cycle.run_safely import Outcome, run_safely
     from master.motion.commission import Procedure
+    from master.network.link import Link
+    from physics import setup_check
     from physics.setup_check import SetupCheck
 
 
@@ -32,8 +35,6 @@ def refuse_unchecked(
     sections: Mapping[str, Any], calibration: Path | None, now: datetime.datetime | None = None
 ) -> None:
     """Raise `InputError` for a bench with a limb declared whose calibration has no recent check of each sensor."""
-    from physics import setup_check
-
     if "record" not in sections or not (limb := sections["record"].limb):  # a sweep's rows declare no limb
         return
     bench = sections["network"].bench
@@ -57,16 +58,12 @@ def _cells(bench: DeclaredBench, path: str) -> list[str]:
 
 def attached(calibration: Path | None) -> dict[str, bytes]:
     """Return the set-up checks in a calibration's file, for attachment to a trial; none without any."""
-    from physics import setup_check
-
     found = setup_check.read(calibration) if calibration is not None and calibration.exists() else ()
     return {"setup_check.toml": setup_check.rows(found).encode()} if found else {}
 
 
 def enter(calibration: Path, new: Sequence[SetupCheck]) -> None:
     """Write checks into a calibration's file, in place of earlier ones of the same sensors."""
-    from physics import setup_check
-
     kept = setup_check.merged(setup_check.read(calibration), new)
     text = setup_check.without_rows(calibration.read_text(encoding="utf-8"))
     write_whole(calibration, text + setup_check.rows(kept), overwrite=True)
@@ -80,9 +77,6 @@ def perform(
     `sections` are those of a configuration; `path` is the force path that it is for, None on a bench of a single one.
     Raises `InputError` for a bus that cannot be opened, and for a path that is missing or not declared.
     """
-    from master.cycle.run_safely import run_safely
-    from master.network.link import Link
-
     network = sections["network"]
     place = network.bench.force_paths.index(named(network.bench, path))
     found: dict[str, Any] = {}

@@ -11,9 +11,9 @@ import typer
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, SimulatedOptions, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.deferred import on_first_use
 from parameters.files import write_whole
 
 with on_first_use():

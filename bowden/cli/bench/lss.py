@@ -8,9 +8,9 @@ from typing import Annotated
 
 from bowden.cli.app import CommandGroup, app
 from bowden.cli.bench.node import Force, refuse_other_master
-from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, argument, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.deferred import on_first_use
 from parameters import InputError
 
 with on_first_use():

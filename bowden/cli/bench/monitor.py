@@ -14,9 +14,9 @@ from bowden import output_files
 from bowden.bench import buses
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.deferred import on_first_use
 from parameters import InputError
 
 with on_first_use():

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 import typer
 
 from bowden.cli.app import CommandGroup, NothingGivenError, app
-from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.deferred import on_first_use
 from parameters import InputError
 from parameters.files import write_whole
 

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 from bowden.bench import buses
 from bowden.cli import ending, options, terminal
 from bowden.cli.bench.node import Eds, Force, Name, node, node_id_of, refuse_other_master
-from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, argument, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.deferred import on_first_use
 from parameters import InputError
 
 with on_first_use():

@@ -14,9 +14,9 @@ import typer
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import CommandGroup, app
-from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, SimulatedOptions, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.deferred import on_first_use
 from parameters import InputError, declarations
 from parameters.files import write_whole
 

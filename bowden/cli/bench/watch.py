@@ -17,9 +17,9 @@ from bowden import output_files
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import NothingGivenError, app
-from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, argument, new_file, option, watched_bench
 from bowden.cli.terminal import CommandAnswer
+from bowden.deferred import on_first_use
 from parameters import InputError
 
 with on_first_use():

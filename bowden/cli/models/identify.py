@@ -12,9 +12,9 @@ import typer
 from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, SimulatedOptions, argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.deferred import on_first_use
 from bowden.trials import force_paths
 from parameters import InputError, declarations
 from parameters.files import write_whole

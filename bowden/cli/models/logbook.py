@@ -9,10 +9,10 @@ from typing import Annotated, Any
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import CommandGroup, app
-from bowden.cli.deferred import on_first_use
 from bowden.cli.options import argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from bowden.cli.trials.trial import FORCE_FIGURES
+from bowden.deferred import on_first_use
 from parameters import InputError
 
 with on_first_use():

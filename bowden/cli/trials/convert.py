@@ -9,9 +9,9 @@ from typing import Annotated
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import NothingGivenError, app
-from bowden.cli.deferred import on_first_use
 from bowden.cli.options import argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.deferred import on_first_use
 from parameters import InputError
 from parameters.files import write_whole
 

@@ -9,9 +9,9 @@ import typer
 from bowden.bench import configuration
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.deferred import on_first_use
 from bowden.cli.options import option
 from bowden.cli.terminal import CommandAnswer
+from bowden.deferred import on_first_use
 from parameters import InputError
 
 with on_first_use():

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.deferred import on_first_use
 from bowden.cli.options import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, option
 from bowden.cli.terminal import CommandAnswer
+from bowden.deferred import on_first_use
 
 with on_first_use():
     from bowden.bench import light_imports

@@ -1,9 +1,10 @@
-"""Imports that wait until a command uses what they name: help and completion stay quick, a module's imports on top."""
+"""Imports that wait until what they name is used: `bowden --help` stays quick, and imports stand on top of a module."""
 
 from __future__ import annotations
 
 import builtins
 import importlib
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -41,9 +42,12 @@ def on_first_use() -> Iterator[None]:
     """
     def waiting(name: str, globals: Any = None, locals: Any = None, fromlist: Sequence[str] | None = (),
                 level: int = 0) -> Any:
+        if threading.get_ident() != thread:
+            return at_once(name, globals, locals, fromlist or (), level)
         return SimpleNamespace(**{each: Deferred(name, each) for each in fromlist}) if fromlist else Deferred(name)
 
-    at_once, builtins.__import__ = builtins.__import__, waiting  # type: ignore[assignment]
+    thread = threading.get_ident()
+    at_once, builtins.__import__ = builtins.__import__, waiting
     try:
         yield
     finally:
