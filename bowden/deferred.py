@@ -8,7 +8,10 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Final
+
+_BLOCK: Final = threading.RLock()
+"""Held by the thread whose import statements wait."""
 
 
 class Deferred:
@@ -21,7 +24,8 @@ class Deferred:
         found = importlib.import_module(self._module)
         if not self._name:
             return found
-        return getattr(found, self._name, None) or importlib.import_module(f"{self._module}.{self._name}")
+        named = getattr(found, self._name, self)
+        return importlib.import_module(f"{self._module}.{self._name}") if named is self else named
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._found(), name)
@@ -46,9 +50,9 @@ def on_first_use() -> Iterator[None]:
             return at_once(name, globals, locals, fromlist or (), level)
         return SimpleNamespace(**{each: Deferred(name, each) for each in fromlist}) if fromlist else Deferred(name)
 
-    thread = threading.get_ident()
-    at_once, builtins.__import__ = builtins.__import__, waiting
-    try:
-        yield
-    finally:
-        builtins.__import__ = at_once
+    with _BLOCK:
+        thread, at_once, builtins.__import__ = threading.get_ident(), builtins.__import__, waiting
+        try:
+            yield
+        finally:
+            builtins.__import__ = at_once

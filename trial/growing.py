@@ -32,7 +32,7 @@ class GrowingTrial:
         self.columns: tuple[str, ...] = ()
         self.closed = False
         self._at = len(mcap.MAGIC)
-        self._schemas: dict[int, tuple[str, str, str]] = {}
+        self._described = records.Descriptions()
         self._channel: int | None = None
 
     def rows(self, most: int = 8_192) -> NDArray[np.float64]:
@@ -62,24 +62,21 @@ class GrowingTrial:
     def _record(self, view: records.View, opcode: int, begin: int, end: int) -> list[NDArray[np.float64]]:
         """Read one complete record: descriptions are stored, rows of a chunk returned."""
         try:
-            cursor = records.Cursor(view, begin, end)
-            if opcode == mcap.SCHEMA:
-                number, parts = records.read_schema(cursor)
-                self._schemas[number] = parts
-            elif opcode == mcap.CHANNEL:
-                self._describe(records.read_channel(cursor, self._schemas))
+            self._described.take(opcode, view, begin, end)
+            if opcode == mcap.CHANNEL:
+                self._find_rows()
             elif opcode == mcap.CHUNK:
-                return self._unpacked(records.unpack(cursor)[0])
+                return self._unpacked(records.unpack(view, begin, end)[0])
             self.closed = opcode == mcap.DATA_END
         except (records.CutError, ValueError) as error:
             raise InputError(f"{self.path}: the record at byte {begin} is damaged; end the watch and say bowden "
                              f"recover {self.path} -o FILE.") from error
         return []
 
-    def _describe(self, channel: records.Channel) -> None:
-        names = cdr.cycle_columns(channel.schema) if channel.topic == ROW_TOPIC else None
-        if names is not None:
-            self.columns, self._channel = names, channel.number
+    def _find_rows(self) -> None:
+        for channel in self._described.channels.values():
+            if channel.topic == ROW_TOPIC and (names := cdr.cycle_columns(channel.schema)) is not None:
+                self.columns, self._channel = names, channel.number
 
     def _unpacked(self, data: bytes) -> list[NDArray[np.float64]]:
         if self._channel is None:

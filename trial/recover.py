@@ -9,6 +9,7 @@ front to back, a chunk at a time.
 import mmap
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -65,19 +66,19 @@ def _copy(
     found, skipped = Recovery(), list[int]()
     loose, chunked = bytearray(), False  # messages outside of chunks: in a file of chunks, other records misread
     for opcode, at, end in walk(view, skipped):
-        cursor = records.Cursor(view, at, end)
         if opcode == mcap.CHUNK:
             chunked = True
-            content, intact = surviving(cursor)
+            content, intact = surviving(view, at, end)
             found.chunks += _keep(made, content, numbers, found) > 0
             found.damaged += not intact
             progress(at / len(view))
         elif opcode == mcap.MESSAGE:
             loose += view[at - 9:end]
         elif opcode == mcap.ATTACHMENT:
-            _attach(made, cursor, found)
+            _attach(made, view, at, end, found)
         elif opcode == mcap.METADATA:
-            _note(made, cursor)
+            with suppress(records.CutError):
+                made.metadata(*records.note(view, at, end))
         elif opcode == mcap.DATA_END:
             break
         if len(loose) > 1 << 20 and not chunked:
@@ -150,21 +151,13 @@ def _columns(entries: list[tuple[int, int]]) -> tuple[NDArray[np.int64], NDArray
     return both[:, 0], both[:, 1]
 
 
-def _attach(made: mcap.Container, cursor: records.Cursor, found: Recovery) -> None:
+def _attach(made: mcap.Container, view: mmap.mmap, at: int, end: int, found: Recovery) -> None:
     try:
-        name, data = records.read_attachment(cursor)
+        name, data = records.attachment(view, at, end)
     except (records.CutError, ValueError):
         found.damaged += 1
     else:
         made.attachment(name, "text/plain", data)
-
-
-def _note(made: mcap.Container, cursor: records.Cursor) -> None:
-    try:
-        name, mapping = cursor.string(), cursor.string_map()
-    except records.CutError:
-        return
-    made.metadata(name, mapping)
 
 
 ZSTD_CHUNK = b"\x04\0\0\0zstd"  # after 9 + 28 bytes of every zstd chunk record
@@ -200,27 +193,23 @@ def begins(view: mmap.mmap, at: int) -> bool:
     return 1 <= head[0] <= 15 and int.from_bytes(head[1:], "little") <= limit
 
 
-def surviving(cursor: records.Cursor) -> tuple[bytes, bool]:
+def surviving(view: records.View, at: int, end: int) -> tuple[bytes, bool]:
     """Return a chunk's content and True, or the front of it where the file ends in it, else nothing, and False."""
-    begin = cursor.at
     try:
-        return records.unpack(cursor)[0], True
+        return records.unpack(view, at, end)[0], True
     except records.CutError:
-        cursor.at = begin
-        return _front(cursor), False
+        return _front(view, at, end), False
     except ValueError:
         return b"", False
 
 
-def _front(cursor: records.Cursor) -> bytes:
+def _front(view: records.View, at: int, end: int) -> bytes:
     """Return the bytes that a chunk cut by the end of the file still unpacks to."""
     try:
-        _first, _last, size, crc = cursor.unpack(records.CHUNK_FIELDS)
-        compression = cursor.string()
-        cursor.take(8)
+        size, crc, compression, begin, _ = records.chunk_head(view, at, end)
     except records.CutError:
         return b""
-    rest = cursor.view[cursor.at:cursor.end]
+    rest = view[begin:end]
     if compression == "zstd" and size <= records.CHUNK_LIMIT:
         try:
             rest = zstandard.ZstdDecompressor().stream_reader(rest).read(size + 1)
@@ -241,29 +230,13 @@ def whole_records(content: bytes) -> Iterator[tuple[int, int, int]]:
 
 def surviving_channels(view: mmap.mmap) -> dict[int, records.Channel]:
     """Return the channels of a file without a summary, wherever they survived: in front or in chunks."""
-    described = _Descriptions()
+    described = records.Descriptions()
     for opcode, at, end in walk(view, []):
-        described.take(opcode, records.Cursor(view, at, end))
+        with suppress(records.CutError):
+            described.take(opcode, view, at, end)
         if opcode == mcap.CHUNK and not described.channels:
-            content, _ = surviving(records.Cursor(view, at, end))
+            content, _ = surviving(view, at, end)
             for inner, begin, stop in whole_records(content):
-                described.take(inner, records.Cursor(content, begin, stop))
+                with suppress(records.CutError):
+                    described.take(inner, content, begin, stop)
     return described.channels
-
-
-class _Descriptions:
-    def __init__(self) -> None:
-        self.schemas: dict[int, tuple[str, str, str]] = {}
-        self.channels: dict[int, records.Channel] = {}
-
-    def take(self, opcode: int, cursor: records.Cursor) -> None:
-        """Store the schema, channel or other description in a record, if it has one."""
-        try:
-            if opcode == mcap.SCHEMA:
-                number, parts = records.read_schema(cursor)
-                self.schemas.setdefault(number, parts)
-            elif opcode == mcap.CHANNEL:
-                channel = records.read_channel(cursor, self.schemas)
-                self.channels.setdefault(channel.number, channel)
-        except records.CutError:
-            return

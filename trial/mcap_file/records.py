@@ -5,16 +5,20 @@ beyond its stated, bounded size. A record that ends too early raises `CutError`,
 caller adds the file's name. Functions that take the file's path raise `InputError` with the reason and what to do.
 """
 
+import io
 import mmap
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.records import Attachment, Metadata, Schema
+from mcap.records import Channel as ChannelRecord
 
 from parameters import InputError
 from parameters.files import most_unpacked, refuse_special
@@ -25,8 +29,6 @@ CHUNK_LIMIT = 64 << 20  # one chunk, unpacked; writers in use make chunks of 64 
 SPAN = 4 << 20
 """Bytes of a file that a reader from front to back leaves mapped."""
 _HEAD = struct.Struct("<BQ")
-_CHANNEL = struct.Struct("<HH")
-CHUNK_FIELDS = struct.Struct("<QQQI")  # first and last time, size unpacked, checksum
 
 View = bytes | mmap.mmap
 
@@ -47,39 +49,43 @@ class CutError(Exception):
     """A record that ends before it should."""
 
 
-class Cursor:
-    """Reads the fields of one record; raises `CutError` at its end."""
+class Content(io.BytesIO):
+    """Content of one record as the package mcap reads it; raises `CutError` at its end."""
 
-    __slots__ = ("at", "end", "view")
-
-    def __init__(self, view: View, at: int, end: int) -> None:
-        self.view, self.at, self.end = view, at, end
-
-    def take(self, size: int) -> bytes:
-        at = self.at
-        if size > self.end - at:
+    def read(self, size: int | None = -1) -> bytes:
+        """Return the next `size` bytes."""
+        if size is None or size > len(self.getbuffer()) - self.tell():
             raise CutError
-        self.at = at + size
-        return self.view[at:self.at]
+        return super().read(size)
 
-    def unpack(self, shape: struct.Struct) -> tuple[int, ...]:
-        return shape.unpack(self.take(shape.size))
 
-    def number(self) -> int:
-        return int.from_bytes(self.take(4), "little")
+def read(kind: Any, view: View, at: int, end: int) -> Any:
+    """Return the record, of a class of `mcap.records`, in `view[at:end]`; `CutError` if its fields are longer."""
+    try:
+        return kind.read(ReadDataStream(Content(view[at:end])))
+    except UnicodeDecodeError:
+        raise CutError from None
 
-    def string(self) -> str:
-        return self.take(self.number()).decode(errors="replace")
 
-    def string_map(self) -> dict[str, str]:
-        end = self.at + 4 + self.number()
-        if end > self.end:
-            raise CutError
-        mapping = {}
-        while self.at < end:
-            key = self.string()
-            mapping[key] = self.string()
-        return mapping
+class Descriptions:
+    """Channels by number, joined with their schemas (empty strings for a channel without one); the first of a number
+    stays."""
+
+    def __init__(self) -> None:
+        self.channels: dict[int, Channel] = {}
+        self._schemas: dict[int, Schema] = {0: Schema(0, b"", "", "")}
+
+    def take(self, opcode: int, view: View, at: int, end: int) -> None:
+        """Store the schema or channel that a record describes, if it does; raises `CutError`."""
+        if opcode == mcap.SCHEMA:
+            schema = read(Schema, view, at, end)
+            self._schemas.setdefault(schema.id, schema)
+        elif opcode == mcap.CHANNEL:
+            found = read(ChannelRecord, view, at, end)
+            schema = self._schemas.get(found.schema_id, self._schemas[0])
+            self.channels.setdefault(found.id, Channel(
+                found.id, found.topic, found.message_encoding, schema.name, schema.encoding,
+                schema.data.decode(errors="replace"), found.metadata))
 
 
 @contextmanager
@@ -135,29 +141,33 @@ def records(view: View, at: int, end: int) -> Iterator[tuple[int, int, int]]:
         at += length
 
 
-def read_schema(cursor: Cursor) -> tuple[int, tuple[str, str, str]]:
-    """Read a schema: its number, then name, encoding and text."""
-    number = int.from_bytes(cursor.take(2), "little")
-    name, encoding = cursor.string(), cursor.string()
-    return number, (name, encoding, cursor.take(cursor.number()).decode(errors="replace"))
+def chunk_head(view: View, at: int, end: int) -> tuple[int, int, str, int, int]:
+    """Return size unpacked, checksum, compression, and begin and end of the packed bytes; raises `CutError`.
+
+    A chunk and its index are read by structures, for the package mcap takes twice the time, and a file has thousands.
+    """
+    _first, _last, size, crc, length = _unpacked(_CHUNK, view, at, end)
+    begin = at + _CHUNK.size + length + 8
+    if begin > end:
+        raise CutError
+    name, packed = view[begin - 8 - length:begin - 8], int.from_bytes(view[begin - 8:begin], "little")
+    return size, crc, name.decode(errors="replace"), begin, begin + packed
 
 
-def read_channel(cursor: Cursor, schemas: dict[int, tuple[str, str, str]]) -> Channel:
-    """Read a channel, joined with its schema (empty strings if it has no schema)."""
-    number, schema = cursor.unpack(_CHANNEL)
-    topic, encoding = cursor.string(), cursor.string()
-    name, schema_encoding, text = schemas.get(schema, ("", "", ""))
-    return Channel(number, topic, encoding, name, schema_encoding, text, cursor.string_map())
+def _unpacked(shape: struct.Struct, view: View, at: int, end: int) -> tuple[int, ...]:
+    if at + shape.size > end:
+        raise CutError
+    return shape.unpack_from(view, at)
 
 
-def unpack(cursor: Cursor, checked: bool = False) -> tuple[bytes, int]:
+def unpack(view: View, at: int, end: int, checked: bool = False) -> tuple[bytes, int]:
     """Unpack a chunk record: its content and stated size; ValueError or `CutError` where they disagree."""
-    _first, _last, size, crc = cursor.unpack(CHUNK_FIELDS)
-    compression = cursor.string()
-    packed = cursor.take(int.from_bytes(cursor.take(8), "little"))
+    size, crc, compression, begin, stop = chunk_head(view, at, end)
+    if stop > end:
+        raise CutError
     if size > CHUNK_LIMIT:
         raise ValueError(f"it would unpack to {size} bytes, more than {CHUNK_LIMIT}")
-    data = _decompress(compression, packed, size)
+    data = _decompress(compression, view[begin:stop], size)
     if len(data) != size:
         raise ValueError("it unpacks to another size than it states")
     if crc and not checked and zlib.crc32(data) != crc:
@@ -184,17 +194,13 @@ def _decompress(compression: str, packed: bytes, size: int) -> bytes:
     raise ValueError(f"its compression {compression!r} is unknown")
 
 
-def read_attachment(cursor: Cursor) -> tuple[str, bytes]:
-    """Read an attachment: its name and content; ValueError where its checksum is wrong."""
-    begin = cursor.at
-    cursor.take(16)
-    name, _media = cursor.string(), cursor.string()
-    data = cursor.take(int.from_bytes(cursor.take(8), "little"))
-    crc = zlib.crc32(cursor.view[begin:cursor.at])
-    stated = cursor.number()
-    if stated and stated != crc:
+def attachment(view: View, at: int, end: int) -> tuple[str, bytes]:
+    """Return name and content of an attachment record; ValueError where its checksum is wrong."""
+    found = read(Attachment, view, at, end)
+    stated = int.from_bytes(view[end - 4:end], "little")
+    if stated and stated != zlib.crc32(view[at:end - 4]):
         raise ValueError("its checksum is wrong")
-    return name, data
+    return found.name, found.data
 
 
 def messages(data: bytes, channel: int) -> Iterator[tuple[int, int, bytes]]:
@@ -208,10 +214,12 @@ def messages(data: bytes, channel: int) -> Iterator[tuple[int, int, bytes]]:
 
 DATA_END_BYTES = 9 + 4
 FOOTER_BYTES = 9 + 20 + len(mcap.MAGIC)
-_FOOTER = struct.Struct("<QQI")  # start of the summary, of its offsets, checksum
+_CHUNK = struct.Struct("<QQQII")  # first and last time, size unpacked, checksum, bytes of the compression's name
 _CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last time, offset, length, bytes of the map that follows
+_FOOTER = struct.Struct("<QQI")  # start of the summary, of its offsets, checksum
 _CHANNEL_PLACE = struct.Struct("<HQ")
-_PLACE = struct.Struct("<QQ")  # offset and length
+_NAME = struct.Struct("<QI")  # bytes of the message indexes, and of the compression's name
+_PLACE = struct.Struct("<QQ")  # offset and length, or two lengths
 
 
 class ChunkAt(NamedTuple):
@@ -280,35 +288,29 @@ def _data_checked(view: View, start: int, path: str | Path) -> bool:
 
 
 def _parse_summary(view: View, start: int, footer: int, checked: bool) -> Summary:
-    schemas: dict[int, tuple[str, str, str]] = {}
-    found = Summary({}, [], [], [], checked)
+    described = Descriptions()
+    found = Summary(described.channels, [], [], [], checked)
     for opcode, at, end in records(view, start, footer):
-        cursor = Cursor(view, at, end)
-        if opcode == mcap.SCHEMA:
-            number, parts = read_schema(cursor)
-            schemas[number] = parts
-        elif opcode == mcap.CHANNEL:
-            channel = read_channel(cursor, schemas)
-            found.channels[channel.number] = channel
-        elif opcode == mcap.CHUNK_INDEX:
-            found.chunks.append(_read_chunk_index(cursor, start))
+        described.take(opcode, view, at, end)
+        if opcode == mcap.CHUNK_INDEX:
+            found.chunks.append(_chunk_at(view, at, end, start))
         elif opcode in (mcap.ATTACHMENT_INDEX, mcap.METADATA_INDEX):
-            offset, length = cursor.unpack(_PLACE)
+            offset, length = _unpacked(_PLACE, view, at, end)
             if offset + length > start:
                 raise CutError
             (found.attachments if opcode == mcap.ATTACHMENT_INDEX else found.metadata).append((offset, length))
     return found
 
 
-def _read_chunk_index(cursor: Cursor, data_end: int) -> ChunkAt:
-    _first, _last, offset, length, indexes = cursor.unpack(_CHUNK_INDEX)
-    if offset + length > data_end or indexes % 10:
+def _chunk_at(view: View, at: int, end: int, data_end: int) -> ChunkAt:
+    _first, _last, offset, length, indexes = _unpacked(_CHUNK_INDEX, view, at, end)
+    after = at + _CHUNK_INDEX.size + indexes
+    _index_length, name = _unpacked(_NAME, view, after, end)
+    _packed, unpacked = _unpacked(_PLACE, view, after + _NAME.size + name, end)
+    if offset + length > data_end or indexes % _CHANNEL_PLACE.size:
         raise CutError
-    channels = tuple(number for number, _ in _CHANNEL_PLACE.iter_unpack(cursor.take(indexes)))
-    cursor.take(8)
-    cursor.string()
-    _packed, unpacked = cursor.unpack(_PLACE)
-    return ChunkAt(offset, length, channels, unpacked)
+    channels = _CHANNEL_PLACE.iter_unpack(view[after - indexes:after])
+    return ChunkAt(offset, length, tuple(number for number, _ in channels), unpacked)
 
 
 def chunks_of(found: Summary, channel: int, path: str | Path, file_bytes: int) -> list[ChunkAt]:
@@ -329,7 +331,7 @@ def content(view: View, chunk: ChunkAt, path: str | Path, checked: bool) -> byte
         opcode, at, end = next(records(view, chunk.offset, chunk.offset + chunk.length))
         if opcode != mcap.CHUNK:
             raise CutError
-        data, unpacked = unpack(Cursor(view, at, end), checked)
+        data, unpacked = unpack(view, at, end, checked)
     except (CutError, StopIteration, ValueError) as error:
         reason = f" ({error})" if str(error) else ""
         raise InputError(f"{damaged}{reason}; say bowden recover {path} -o FILE.") from None
@@ -350,34 +352,29 @@ def contents(view: View, chunks: Iterable[ChunkAt], path: str | Path, checked: b
 
 def attachments(view: View, found: Summary, path: str | Path) -> dict[str, bytes]:
     """Return every attachment, its checksum compared."""
-    attached: dict[str, bytes] = {}
-    for offset, length in found.attachments:
-        cursor = _record(view, mcap.ATTACHMENT, offset, length, path)
-        try:
-            attached.update([read_attachment(cursor)])
-        except (CutError, ValueError):
-            raise InputError(f"{path}: the attachment at byte {offset} is damaged; say bowden recover.") from None
-    return attached
+    return dict(_named(view, mcap.ATTACHMENT, found.attachments, path, attachment))
 
 
 def metadata(view: View, found: Summary, path: str | Path) -> dict[str, dict[str, str]]:
     """Return every metadata record by its name."""
-    named = {}
-    for offset, length in found.metadata:
-        cursor = _record(view, mcap.METADATA, offset, length, path)
+    return dict(_named(view, mcap.METADATA, found.metadata, path, note))
+
+
+def note(view: View, at: int, end: int) -> tuple[str, dict[str, str]]:
+    """Return name and mapping of a metadata record."""
+    found = read(Metadata, view, at, end)
+    return found.name, found.metadata
+
+
+def _named(view: View, opcode: int, places: Iterable[tuple[int, int]], path: str | Path,
+           reader: Callable[[View, int, int], tuple[str, Any]]) -> Iterator[tuple[str, Any]]:
+    for offset, length in places:
+        what = "record"
         try:
-            name = cursor.string()
-            named[name] = cursor.string_map()
-        except CutError:
-            raise InputError(f"{path}: the metadata at byte {offset} is damaged; say bowden recover.") from None
-    return named
-
-
-def _record(view: View, opcode: int, offset: int, length: int, path: str | Path) -> Cursor:
-    try:
-        found, at, end = next(records(view, offset, offset + length))
-        if found != opcode:
-            raise CutError
-    except (CutError, StopIteration):
-        raise InputError(f"{path}: the record at byte {offset} is damaged; say bowden recover.") from None
-    return Cursor(view, at, end)
+            found, at, end = next(records(view, offset, offset + length))
+            if found != opcode:
+                raise CutError
+            what = "attachment" if opcode == mcap.ATTACHMENT else "metadata"
+            yield reader(view, at, end)
+        except (CutError, StopIteration, ValueError):
+            raise InputError(f"{path}: the {what} at byte {offset} is damaged; say bowden recover.") from None
