@@ -110,7 +110,9 @@ class _Batch:
         self._known: dict[tuple[tuple[tuple[int, float], ...], str], int] = {((), ""): 0}
 
     def moved(self, origin: tuple[tuple[int, float], ...], name: str) -> int:
-        """Return the number of the vector with constant `name` one step away from `origin`, changes of q by row."""
+        """Return the number of the vector with constant `name` one step away from `origin`, added if it is new.
+
+        `origin`: changes of q by row."""
         if (origin, name) not in self._known:
             base = 0
             if origin:
@@ -127,7 +129,7 @@ class _Batch:
         return self._known[origin, name]
 
     def far(self, origin: tuple[tuple[int, float], ...], direction: Direction) -> int:
-        """Return the number of the vector with 1σ of an effect along a direction, from `origin` on."""
+        """Add the vector `origin` plus 1σ of an effect along a direction; return its number in the batch."""
         at = self.sets[0].copy()
         for i, value in origin:
             at[i] = value
@@ -174,7 +176,7 @@ class SessionSums(NamedTuple):
     rmse_n: float
 
     def joined(self, other: SessionSums) -> SessionSums:
-        """Return the sums of both, of trials of one session."""
+        """Return the sums over the trials of two parts of one session."""
         return SessionSums(self.sums + other.sums, np.maximum(self.growth, other.growth),
                            float(np.hypot(self.rmse_n, other.rmse_n) / np.sqrt(2.0)))
 

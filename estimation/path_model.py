@@ -48,7 +48,10 @@ class PathModel(ForwardModel):
     there in trials in the reference condition (decision 48)."""
     session_share = 0.35
     unseen = 7.0
-    """Without it, a gait of a higher peak than the only reference trial's gets a name (`evidence_calibration`)."""
+    """Growth of the session deviation's σ by motion beyond the reference trials' range, per range (decision 29).
+
+    With 0 an effect is named in a healthy gait of a higher peak than the only reference trial's.
+    """
     extrapolated = force_path.NAMES
     session_shares = (0.0, 0.7, 1.4)
     unlike_share = 0.2

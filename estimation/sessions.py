@@ -186,14 +186,14 @@ class SessionSequence:
         return np.arange(max(self.references, 1), self.count)
 
     def weights(self) -> dict[str, Array]:
-        """Return w by course, shape (begins, sessions)."""
+        """Return the share 0 … 1 of a change in each session, by its course; shape (begins, sessions)."""
         row = np.arange(self.count)
         begins = self.begins[:, None]
         return {"step": (row >= begins).astype(float),
                 "ramp": np.clip((row - begins + 1) / np.maximum(self.count - begins, 1), 0.0, 1.0)}
 
     def weights_of(self, change: Change) -> Array:
-        """Return w of a change, shape (sessions,)."""
+        """Return the share 0 … 1 of a change in each session, shape (sessions,)."""
         return np.asarray(self.weights()[change.course][change.since - self.begins[0]])
 
     def search(self) -> tuple[list[Change], Array]:

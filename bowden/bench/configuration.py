@@ -48,7 +48,7 @@ DEVICES: dict[str, tuple[str, str]] = {
     "start": ("eds.device_mapping", "SensorMapping"),
     "end": ("eds.device_mapping", "SensorMapping"),
 }
-"""Tables of devices that are not those of this project; they map the devices of these names."""
+"""Tables of bench.toml that map the objects of a foreign device: class of each, by name of the device."""
 MONITOR = {"monitor": ("eds.bench.network", "Monitor")}
 """Table of the safety monitor, which becomes part of the network."""
 TABLES = {**SECTIONS, **MONITOR, **DEVICES}

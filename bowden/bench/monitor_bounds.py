@@ -33,7 +33,7 @@ SLOWEST_HZ: Final = 1e9 / (WINDOW * STEP_NS)
 """Least rate of a recording, Hz: the rise of a tension is taken over 3 ms."""
 NAMES: Final = MappingProxyType({
     "start_n": "tension at START", "force_rate_n_s": "rise of a tension", "rope_m_s": "speed of the rope"})
-"""Keys of a person's file that are the bench's, and their names."""
+"""Bounds in a person's file that depend on the bench alone: key, and quantity in words."""
 PHASE: Final = "gait_percent"
 """Column that is known from the first control cycle after homing on."""
 LIMB: Final = re.compile(r'(?m)^limb = "[^"]')

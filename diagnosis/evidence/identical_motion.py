@@ -111,7 +111,7 @@ def _difference(fit: ReferenceFit, other: Recording, observed: SessionData, numb
 
 
 def _prior(fit: ReferenceFit, number: int) -> Gaussian:
-    """Return the prior of the trial about the mode of the reference trial: the difference of two sessions."""
+    """Return the prior of the trial's constants: mean at the reference trial's mode, twice a session's variance."""
     q, c = fit.identified[number]
     free = list(fit.model.constants.free)
     session = np.diag(fit.prior.covariance - fit.bench.covariance)

@@ -114,7 +114,7 @@ def loop_plot(found: Findings, turning: bool = False) -> Plot | None:
 
 def _ends(sides: Mapping[str, Sequence[SignalResiduals]], parts: Sequence[SignalResiduals]
           ) -> Sequence[SignalResiduals]:
-    """Return END of the trials whose START is `parts`; none if END was not compared on the same samples."""
+    """Return the END residuals of the trials whose START residuals are `parts`; none if their samples differ."""
     ends = sides.get("tension_end_n", ())
     return ends if [p.measured.size for p in ends] == [p.measured.size for p in parts] else ()
 

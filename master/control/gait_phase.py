@@ -35,7 +35,8 @@ PHASE, RATE, SIZE, AWAY, AWAY_RATE, STATES = range(6)
 """States of the filter: φ, cycles; ω, cycles/s; a; d, rad; d', rad/s."""
 COVARIANCE = STATES
 HELD = COVARIANCE + STATES**2
-"""Slots of the memory: 1 where there is a phase; then cycles since the last angle was kept, and the kept ones."""
+"""First place of the memory behind the filter: 1 if a phase is estimated.  `SINCE`: control cycles since the last
+angle was stored; `FILLED`: number of stored angles."""
 SINCE, FILLED, LINKED = HELD + 1, HELD + 2, HELD + 3
 RING = HELD + 4
 DELAYS: Final = 25

@@ -15,7 +15,9 @@ from physics.forward.constant_table import ConstantTable, ModelConstant
 from physics.laws import Array
 
 PRESLIDING: Final = 1.0 / math.log(2.0)
-"""Pre-sliding distance of Dahl's equation over that of `force_path`: both turn from −1 to 0 over the same way."""
+"""Ratio of the pre-sliding distance in Dahl's equation to that in `force_path`, for one curve of friction.
+
+With it friction rises from −1 to 0 over the same distance in both."""
 LOAD_PER_STEP: Final = 0.25
 """Change of `load` between 30 N, to which exponents of the path refer, and 40 N, to which the simulation's refer."""
 _C = ModelConstant
