@@ -8,12 +8,13 @@ import contextlib
 import json
 import multiprocessing
 import os
+import pickle
 import signal
 import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from bowden.live.state import LiveState
@@ -21,11 +22,8 @@ from bowden.live.web import LivePage
 from parameters import InputError
 from trial.mcap_file.cdr import FRAME_STRUCT
 
-BLOCK: Final = struct.Struct("<cI")
-"""Header of a block: its kind and length."""
-FRAMES, FORCES, EVENT, STATUS, SUSPICION = b"F", b"R", b"E", b"S", b"D"
-"""Kinds of block: rows of `FRAME_ROW`, rows of `PageSetup.forces`, and JSON lists of the arguments of `event`,
-`status` and `suspected`."""
+BLOCK: Final = struct.Struct("<I")
+"""Length of a block, which is the pickled name and arguments of a method of `LiveState`."""
 SEND_NS: Final = 20_000_000
 """Bus time between two transmissions to the page. Shorter: more system calls in the control thread. Longer: the page
 lags.
@@ -47,11 +45,6 @@ class PageSetup(NamedTuple):
     silent_s: float
     paths: tuple[str, ...] = ("",)
 
-    @property
-    def forces(self) -> struct.Struct:
-        """Return the layout of a row of forces: time, ns, then desired, START and END force, N, of each force path."""
-        return struct.Struct(f"<q{3 * len(self.paths)}d")
-
 
 class PageProcess:
     """The page's process from here to `close`; `stop` is called, on another thread, when its button is pressed.
@@ -63,8 +56,7 @@ class PageProcess:
     def __init__(self, setup: PageSetup, where: str, stop: Callable[[], None]) -> None:
         self.stop_asked = False
         self._stop, self._sent_ns, self._gone = stop, 0, False
-        self._row = setup.forces
-        self._frames, self._forces, self._waiting = bytearray(), bytearray(), bytearray()
+        self._frames, self._waiting = bytearray(), bytearray()
         self._to_page, their_page = socket.socketpair()
         self._answers, their_answers = socket.socketpair()
         self._process = multiprocessing.get_context("spawn").Process(
@@ -100,22 +92,21 @@ class PageProcess:
 
     def force(self, time_ns: int, *forces_n: float) -> None:
         """Add desired, START and END force, N, of each force path in one control cycle; NaN where unknown."""
-        self._forces += self._row.pack(time_ns, *forces_n)
+        self._put("force", time_ns, *forces_n)
         self._send_due(time_ns)
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
         """Add an event, as one sentence."""
-        self._send_rows()
-        self._put(EVENT, json.dumps((time_ns, kind, source, text)).encode())
+        self._send("event", time_ns, kind, source, text)
 
     def status(self, status: str, sentence: str = "") -> None:
         """Show the trial's status, and the sentence with it."""
-        self._send_rows()
-        self._put(STATUS, json.dumps((status, sentence)).encode())
+        self._send("digest")
+        self._send("status", status, sentence)
 
     def suspected(self, sentence: str) -> None:
         """Show the present suspicion of the diagnosis during the trial."""
-        self._put(SUSPICION, json.dumps((sentence,)).encode())
+        self._send("suspected", sentence)
 
     @property
     def waits(self) -> int:
@@ -138,20 +129,21 @@ class PageProcess:
     def _send_due(self, time_ns: int) -> None:
         if not 0 <= time_ns - self._sent_ns < SEND_NS:
             self._sent_ns = time_ns
-            self._send_rows()
+            self._send()
 
-    def _send_rows(self) -> None:
-        for kind, rows in ((FRAMES, self._frames), (FORCES, self._forces)):
-            if rows:
-                self._put(kind, rows)
-                rows.clear()
+    def _put(self, method: str, *arguments: Any) -> None:
+        """Queue a call of a method of the page's state."""
+        block = pickle.dumps((method, arguments))
+        if not self._gone and len(self._waiting) + len(block) <= MOST_WAITING:
+            self._waiting += BLOCK.pack(len(block)) + block
 
-    def _put(self, kind: bytes, payload: bytes | bytearray) -> None:
-        """Queue a block for the page, and send as many queued bytes as the pipe accepts now."""
-        if self._gone:
-            return
-        if len(self._waiting) + len(payload) <= MOST_WAITING:
-            self._waiting += BLOCK.pack(kind, len(payload)) + payload
+    def _send(self, *call: Any) -> None:
+        """Queue the frames so far, then a call; send as many queued bytes as the pipe accepts now."""
+        if self._frames:
+            self._put("frames", bytes(self._frames))
+            self._frames.clear()
+        if call:
+            self._put(*call)
         try:
             del self._waiting[:self._to_page.send(self._waiting)]
         except BlockingIOError:
@@ -174,31 +166,9 @@ def serve(told: socket.socket, answers: socket.socket, setup: PageSetup, where: 
         answers.sendall(json.dumps({"error": str(error)}).encode() + b"\n")
         return
     answers.sendall(json.dumps({"url": page.url}).encode() + b"\n")
-    with contextlib.suppress(OSError):
-        for kind, payload in blocks(told):
-            take(state, kind, payload, setup.forces)
+    with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):  # its end may cut the last block
+        stream = told.makefile("rb")
+        while len(head := stream.read(BLOCK.size)) == BLOCK.size:
+            method, arguments = pickle.loads(stream.read(*BLOCK.unpack(head)))
+            getattr(state, method)(*arguments)
     page.close()
-
-
-def blocks(told: socket.socket) -> Iterator[tuple[bytes, bytes]]:
-    """Yield kind and payload of each block, until the sender ends."""
-    stream = told.makefile("rb")
-    while len(head := stream.read(BLOCK.size)) == BLOCK.size:
-        kind, length = BLOCK.unpack(head)
-        yield kind, stream.read(length)
-
-
-def take(state: LiveState, kind: bytes, payload: bytes, forces: struct.Struct) -> None:
-    """Add a block to the state of the page; `forces`: layout of a row of forces."""
-    if kind == FRAMES:
-        state.frames(payload)
-    elif kind == FORCES:
-        for row in forces.iter_unpack(payload):
-            state.force(*row)
-    elif kind == EVENT:
-        state.event(*json.loads(payload))
-    elif kind == SUSPICION:
-        state.suspected(*json.loads(payload))
-    else:
-        state.digest()
-        state.status(*json.loads(payload))
