@@ -38,9 +38,8 @@ def state(name: str, kind: str, network: Network, paths: Sequence[str] | None = 
           ) -> LiveState:
     """Return the state of a page for a bench with this network, by this process's clock; `paths`: of a recorded trial.
     """
-    made = setup(name, network)
-    made = made if paths is None else made._replace(paths=tuple(paths))
-    return LiveState(name, kind, time.monotonic, *made[1:], decode_events=decode_events)
+    _, bitrate, nodes, silent_s, own = setup(name, network)
+    return LiveState(name, kind, time.monotonic, bitrate, nodes, silent_s, paths or own, decode_events=decode_events)
 
 
 class TrialFeed:

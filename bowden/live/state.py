@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from bowden.pages.load_prediction import frame_bits
 from eds.bench.bench_network import NAMES
-from trial.convert.frames import rows_of
 from trial.decode import events as events_of
 from trial.mcap_file import cdr
 
@@ -39,9 +38,8 @@ class LiveState:
     """The state of one page; `clock` gives seconds that only rise, `bitrate` is in bit/s.
 
     `nodes` are the expected node-IDs; `silent_s` is the age from which a heartbeat counts as lost; `paths` names the
-    force paths of a bench of several. `kind`: trial
-    (runs in this process), bus (only listened to) or recorded. `decode_events`: NMT, EMCY and boot-up frames are
-    decoded into events; False if the source sends events itself.
+    force paths of a bench of several. `kind`: trial (runs in this process), bus (only listened to) or recorded.
+    `decode_events`: NMT, EMCY and boot-up frames are decoded into events; False if the source sends events itself.
     """
 
     def __init__(
@@ -53,7 +51,6 @@ class LiveState:
                        "paths": list(paths)}
         self.paths = tuple(paths)
         self._clock, self._bitrate, self._decode_events = clock, bitrate, decode_events
-        self._incoming: deque[tuple[int, int, int, int, int, bool, bytes]] = deque(maxlen=QUEUE)
         self._blocks: deque[bytes] = deque(maxlen=QUEUE)
         self._forces: deque[Force] = deque(maxlen=QUEUE)
         self._new_events: deque[tuple[int, str, str, str]] = deque(maxlen=QUEUE)
@@ -75,8 +72,7 @@ class LiveState:
 
     def frame(self, time_ns: int, can_id: int, data: bytes, flags: int = 0) -> None:
         """Record one frame of the bus; callable from any thread."""
-        self._heard_at = self._clock()
-        self._incoming.append((time_ns, can_id, flags, min(len(data), 8), 0, False, data[:8]))
+        self.frames(cdr.FRAME_STRUCT.pack(time_ns, can_id, flags, min(len(data), 8), 0, False, data[:8]))
 
     def frames(self, rows: bytes) -> None:
         """Add frames: bytes of `cdr.FRAME_ROW`s; callable from any thread."""
@@ -104,7 +100,7 @@ class LiveState:
     def begin_again(self) -> None:
         """Forget all content but the zero of time, for a seek; callable from any thread."""
         with self.changed:
-            for queue in (self._incoming, self._blocks, self._forces, self._new_events):
+            for queue in (self._blocks, self._forces, self._new_events):
                 queue.clear()
             self._forget(None)
 
@@ -117,17 +113,12 @@ class LiveState:
     def digest(self) -> None:
         """Take in what has come since the last call, and wake who waits: the page's own thread, ten times a second."""
         with self.changed:
-            frames = [self._incoming.popleft() for _ in range(len(self._incoming))]
-            if frames:
-                self._frames(rows_of(frames))
-            blocks = [self._blocks.popleft() for _ in range(len(self._blocks))]
-            if blocks:
+            if blocks := _emptied(self._blocks):
                 self._frames(np.frombuffer(b"".join(blocks), cdr.FRAME_ROW))
-            for _ in range(len(self._forces)):
-                time_ns, forces = self._forces.popleft()
+            for time_ns, forces in _emptied(self._forces):
                 self._row(time_ns, *forces)
-            for _ in range(len(self._new_events)):
-                self._happened(*self._new_events.popleft())
+            for event in _emptied(self._new_events):
+                self._happened(*event)
             if self._status == "waiting" and self._heard_at is not None:
                 self._status = "running"
             self.changed.notify_all()
@@ -214,6 +205,11 @@ class LiveState:
             age = None if beat is None or self._now_ns is None else (self._now_ns - beat[0]) * 1e-9
             told.append({"id": node, "name": NAMES.get(node, f"node {node}"), "state": state, "age_s": age})
         return told
+
+
+def _emptied(queue: deque[Any]) -> list[Any]:
+    """Take all entries out of a queue that another thread may fill."""
+    return [queue.popleft() for _ in range(len(queue))]
 
 
 def _last(kept: deque[Any], count: int) -> list[Any]:
