@@ -105,7 +105,7 @@ class Finder:
 
         Raises `InputError` for unusable files, and without reference trials: a law departs from them.
         """
-        if not trials or not self._healthy:
+        if not trials or not self._read:
             raise InputError("discover: name at least one trial, and one in the reference condition with --healthy.")
         held = [[_read(t) for t in trials], list[Table]()]
         refusals = self._examined(held)[1]

@@ -18,7 +18,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from estimation import rig_fit, simulation, simulation_fit
-from estimation.data import integrity, table
+from estimation.data import integrity, scales, table
 from estimation.data.table import Table
 from estimation.fitted_quantities import quantities
 from estimation.path_model import PATH_MODEL, can_be_of_bench, is_of_bench
@@ -100,7 +100,7 @@ def fit(trials: Sequence[str | Path | Table], lowpass: float | None = None) -> F
 
 
 def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
-    findings = [f for t in given for f in integrity.examine(t)]
+    findings = [f for t in given for f in (*integrity.examine(t), *scales.contradictions(t))]
     for finding in findings:
         if finding.refuses:
             raise InputError(finding.text)
@@ -110,13 +110,15 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
     whole: list[ReferenceFit | None] = []
 
     def unlike() -> str:
+        if lacking := _lacking(tables):
+            return lacking
         fit, why = identified(tables)
         whole.append(fit)
         return why
 
     if not is_of_bench(given, unlike):
         return _rig(usable, given, findings)
-    if not whole and (why := _lacking(tables) or unlike()):
+    if not whole and (why := unlike()):
         raise InputError(f"a gait, but no rope that a tension stretches over a knee: {why}")
     first, rest = _parts(tables)
     early, _ = identified(first)

@@ -46,9 +46,12 @@ def motion(given: Table, backlash_rad: float) -> ImposedMotion:
 
     A knee that is not recorded counts as locked.  Raises `InputError` if the rope position is missing.
     """
-    if "servo_position_m" not in given:
-        raise InputError(f"{given.source}: no column servo_position_m; the simulation needs the rope's motion.")
+    if "servo_position_m" not in given or not np.isfinite(given["servo_position_m"]).any():
+        raise InputError(f"{given.source}: no column servo_position_m with values; the simulation needs the rope's "
+                         "motion.")
     time = given["time_s"]
+    if time.size < 4 or (np.diff(time) <= 0.0).any():
+        raise InputError(f"{given.source}: time_s must rise in each of at least four rows; sort or cut the file.")
     knee = given["knee_angle_rad"] if "knee_angle_rad" in given else np.full(time.size, KNEE_AT_FIT)
     knee = play(knee, np.arange(time.size) == 0, backlash_rad) if backlash_rad > 0.0 else knee
     return imposed.motion(time, _filled(given["servo_position_m"]), _filled(knee))

@@ -36,8 +36,9 @@ def contradictions(given: Table, loaded_n: float = 10.0, still: float = 0.02, co
     spans = [float(np.ptp(v[known])) for v in (start, end)] if known.any() else [0.0, 0.0]
     for name, mine, other, beside in ((held[0], spans[0], spans[1], held[1]), (held[1], spans[1], spans[0], held[0])):
         if other > loaded_n and mine < still * other:
-            yield Finding(f"{given.source}: {name} stays within {mine:.3g} N while {beside} spans {other:.3g} N: it "
-                          "reads nothing; leave the column out, or record the trial again.", True)
+            yield Finding(f"{given.source}: {name} stays within {mine:.3g} N while {beside} spans {other:.3g} N: "
+                          "one of them reads nothing, or has a wrong value or unit; leave that column out, or record "
+                          "the trial again.", True)
             return
     equal = float(np.mean(start[known] == end[known])) if known.any() else 0.0
     if min(spans) > 0.0 and equal > copied:

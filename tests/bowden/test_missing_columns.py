@@ -84,3 +84,27 @@ def test_a_position_at_a_tenth_of_the_force_s_rate_is_diagnosed_and_drawn(
     assert bowden("import", "slow.csv", "-o", "slow.mcap")[0] == 0
     drawn = sections.chosen(trial.open("slow.mcap"), ["servo_position_m"])["servo_position_m"]
     assert np.isfinite(drawn).mean() > 0.9  # but for the gap
+
+
+@pytest.mark.parametrize(("column", "value", "command", "sentence"), [
+    ("servo_position_m", np.nan, "fit lab.csv -o model.toml", "has no column servo_position_m that moves"),
+    ("servo_position_m", np.nan, "simulate lab.csv", "no column servo_position_m with values"),
+    ("tension_end_n", 1e30, "fit lab.csv -o model.toml", "has a wrong value or unit"),
+    ("tension_end_n", 1e30, "discover whole.csv --healthy lab.csv", "has a wrong value or unit"),
+    ("time_s", 1.0, "simulate lab.csv", "time_s must rise"),
+])
+def test_an_empty_or_impossible_column_is_one_sentence(
+    here: Path, bowden: Callable[..., tuple[int, str, str]], column: str, value: float, command: str, sentence: str
+) -> None:
+    table(Path("whole.csv"), {"gait_percent", "cycle", "servo_force_n"}, phase=0.5)
+    table(Path("lab.csv"), {"gait_percent", "cycle", "servo_force_n"})
+    header, *rows = Path("lab.csv").read_text().splitlines()
+    place = header.split(",").index(column)
+    cells = [row.split(",") for row in rows]
+    for row in cells if np.isnan(value) else cells[400:401]:
+        row[place] = "" if np.isnan(value) else f"{value:g}"
+    Path("lab.csv").write_text("\n".join([header, *map(",".join, cells)]) + "\n")
+    status, _, err = bowden(*command.split())
+    assert (status, err.count("\n")) == (2, 1)
+    assert err.startswith("bowden: lab.csv")
+    assert sentence in err

@@ -96,3 +96,61 @@ def test_marks_between_thousands_are_read_and_a_date_that_stands_is_no_clock(her
     assert [guessed[name]["column"] for name in ("time_s", "tension_start_n")] == ["Zeit (ms)", "Kraft vorn (mN)"]
     assert bowden("import", "lab.txt", "--map", "map.toml", "-o", "lab.mcap")[0] == 0
     assert trial.open(here / "lab.mcap").columns["tension_start_n"][-1] == pytest.approx(900.0 + TIME[-1])
+
+
+def guessed(bowden: Command, header: str, *columns: np.ndarray) -> tuple[set[str], str]:
+    """Write a table, let its map be guessed, and return the signals that have a column, and what was printed."""
+    np.savetxt("lab.csv", np.column_stack(columns), delimiter=",", comments="", header=header, fmt="%.6g")
+    status, out, err = bowden("import", "lab.csv", "--guess", "-o", "map.toml", "--overwrite")
+    assert (status, err) == (0, "")
+    return set(tomllib.loads(Path("map.toml").read_text())), " ".join(out.split())
+
+
+def test_why_a_column_is_left_out_is_true(here: Path, bowden: Command) -> None:
+    signals, out = guessed(bowden, "time,Kraft,Kraft,Kraft", TIME, 9 + TIME, 8 + TIME, 7 + TIME)
+    assert signals == {"time_s"}
+    assert out.count("other columns have this name; give each a name of its own") == 3
+    signals, out = guessed(bowden, "time_s,start force,end force", -TIME, 9 + TIME, TIME * np.nan)
+    assert signals == {"tension_start_n"}
+    assert "'time_s': its times do not rise" in out
+    assert "'end force': it has no number" in out
+    assert "No column looks like time, which a trial needs" in out
+    status, _, err = bowden("import", "lab.csv", "--map", "map.toml", "-o", "lab.mcap")
+    assert status == 2
+    assert "row 3: time_s" in err
+
+
+def test_a_map_without_time_is_refused_with_what_to_add(here: Path, bowden: Command) -> None:
+    assert guessed(bowden, "start force,end force", 9 + TIME, 8 + TIME)[0] == {"tension_start_n", "tension_end_n"}
+    status, _, err = bowden("import", "lab.csv", "--map", "map.toml", "-o", "lab.mcap")
+    assert (status, "the map names no column for time_s; add [time_s]" in err) == (2, True)
+
+
+def test_columns_of_other_names_come_with_the_way_to_use_them(here: Path, bowden: Command) -> None:
+    np.savetxt("lab.csv", np.column_stack([TIME, 9 + TIME]), delimiter=",", comments="", header="time_s,start force")
+    status, out, _ = bowden("import", "lab.csv", "-o", "lab.mcap")
+    assert status == 0
+    assert "left out: start force" in out
+    assert "bowden import lab.csv --guess -o map.toml" in out
+
+
+@pytest.mark.parametrize(("first", "second", "apart_s"), [
+    ("05/13/2026 11:59:59.500 AM", "05/13/2026 12:00:01.000 PM", 1.5), ("9:00:00 pm", "9:00:00.250 PM", 0.25),
+    ("12:30:00 AM", "1:00:00 AM", 1800.0),
+])
+def test_times_with_am_and_pm_are_read(here: Path, bowden: Command, first: str, second: str, apart_s: float) -> None:
+    (here / "lab.csv").write_text(f"time,start force\n{first},9\n{second},8\n", encoding="utf-8")
+    assert bowden("import", "lab.csv", "--guess", "-o", "map.toml")[0] == 0
+    assert bowden("import", "lab.csv", "--map", "map.toml", "-o", "lab.mcap")[0] == 0
+    assert np.diff(trial.open(here / "lab.mcap").columns["time_s"]).tolist() == [apart_s]
+
+
+def test_a_date_whose_order_is_uncertain_is_left_out_with_one_that_is_read(here: Path, bowden: Command) -> None:
+    (here / "lab.csv").write_text("time,start force\n05/06/2026 09:00:00,9\n05/06/2026 09:00:01,8\n", encoding="utf-8")
+    status, out, _ = bowden("import", "lab.csv", "--guess", "-o", "map.toml")
+    assert (status, "nor a time as 2026-05-13 09:00:00.000" in " ".join(out.split())) == (0, True)
+
+
+def test_sheets_are_no_columns_to_add(here: Path, bowden: Command) -> None:
+    workbook(here / "lab.xlsx")
+    assert "To use one of them" not in bowden("import", "lab.xlsx", "--guess", "-o", "map.toml")[1]

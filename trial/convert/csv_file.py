@@ -405,12 +405,16 @@ def _parsed(cells: Sequence[str], comma: bool) -> tuple[Floats, tuple[int, str] 
     return values, fault
 
 
-_PARTS = ("year", "month", "day", "hour", "minute", "second")
+_PARTS = ("year", "month", "day", "minute", "second")
 _TIME = r"[T ]+(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,](?P<fraction>\d{1,9}))?)?\s*"
+_HALF = r"(?P<half>[AP]M)"
 _ISO = re.compile(r"\s*(?P<year>\d{4})[-/](?P<month>\d{1,2})[-/](?P<day>\d{1,2})" + _TIME
                   + r"(?P<zone>Z|[+-]\d{2}:?\d{2})?\s*$", re.IGNORECASE)
 _DOTTED = re.compile(r"\s*(?P<day>\d{1,2})\.(?P<month>\d{1,2})\.(?P<year>\d{4})" + _TIME + "(?P<zone>)$")
-_CLOCK = re.compile(r"\s*(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,9}))?\s*$")
+_AMERICAN = re.compile(r"\s*(?P<month>\d{1,2})/(?P<day>\d{1,2})/(?P<year>\d{4})" + _TIME + _HALF + r"\s*(?P<zone>)$",
+                       re.IGNORECASE)
+"""Of dates with slashes only those with AM or PM: without it, day and month have no certain order."""
+_CLOCK = re.compile(r"\s*(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,9}))?\s*" + _HALF + r"?\s*$", re.IGNORECASE)
 DAY_NS, SECOND_NS = 86_400_000_000_000, 1_000_000_000
 _EPOCH = datetime.datetime(1970, 1, 1)
 
@@ -424,7 +428,11 @@ class TimeColumn(NamedTuple):
 
 def is_time(cell: str) -> bool:
     """Return whether a cell is a date with a time, or a time of day."""
-    return ":" in cell and bool(_ISO.match(cell) or _DOTTED.match(cell) or _CLOCK.match(cell))
+    return ":" in cell and bool(_dated(cell) or _CLOCK.match(cell))
+
+
+def _dated(cell: str) -> re.Match[str] | None:
+    return _ISO.match(cell) or _DOTTED.match(cell) or _AMERICAN.match(cell)
 
 
 def started(begins_ns: int) -> str:
@@ -449,8 +457,8 @@ def time_column(cells: Sequence[str], unknown: Container[str]) -> TimeColumn | N
             clock = _CLOCK.match(cell)
             if clock is None:
                 return None
-            hours, minutes, second, fraction = clock.groups()
-            at = ((int(hours) * 60 + int(minutes)) * 60 + int(second)) * SECOND_NS + _fraction(fraction)
+            hours, minutes, second, fraction, half = clock.groups()
+            at = ((_hour(hours, half) * 60 + int(minutes)) * 60 + int(second)) * SECOND_NS + _fraction(fraction)
             days += before >= 0 and at < before - DAY_NS // 2  # past midnight
             before, dated = at, False
             at += days * DAY_NS
@@ -460,18 +468,23 @@ def time_column(cells: Sequence[str], unknown: Container[str]) -> TimeColumn | N
     return TimeColumn(values, first if dated else -1)
 
 
+def _hour(hour: str, half: str | None) -> int:
+    """Return the hour of the day; 12 AM is midnight."""
+    return int(hour) if half is None else int(hour) % 12 + 12 * (half.upper() == "PM")
+
+
 def _fraction(digits: str | None) -> int:
     return int((digits or "0").ljust(9, "0"))
 
 
 def _absolute(cell: str) -> int | None:
     """Return a date with a time as ns since 1970, UTC where it states no zone; None if the cell is neither."""
-    found = _ISO.match(cell) or _DOTTED.match(cell)
+    found = _dated(cell)
     if found is None:
         return None
     try:
-        year, month, day, hour, minute, second = (int(found[part] or 0) for part in _PARTS)
-        at = datetime.datetime(year, month, day, hour, minute, second)
+        year, month, day, minute, second = (int(found[part] or 0) for part in _PARTS)
+        at = datetime.datetime(year, month, day, _hour(found["hour"], found.groupdict().get("half")), minute, second)
     except ValueError:
         return None
     zone, away_s = found["zone"] or "Z", 0

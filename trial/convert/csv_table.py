@@ -105,7 +105,9 @@ def columns_of(sheet: LabTable, mapped: Mapping[str, SignalSource] | None = None
         factor = SignalSource(source.column, unit, source.scale).factor(signal, f"{path}: {source.column}")
         columns[signal] = sheet.column(source.column) * factor + source.offset
     if "time_s" not in columns:
-        raise InputError(f"{path}: has no column time_s; {offer(path)}.")
+        raise InputError(f"{path}: " + (
+            "the map names no column for time_s; add [time_s] and column = a column whose values rise." if mapped else
+            f"has no column time_s; {offer(path)}."))
     sources_used = {source.column for source in sources.values()}
     unknown = int(sum(np.isnan(column).sum() for column in columns.values()))
     return Columns(
@@ -259,20 +261,39 @@ def unassigned(sheet: LabTable, found: Sequence[Guess]) -> list[Unassigned]:
         fits = [] if name in sheet.faults else [
             signal.name for signal in MOTION_AND_FORCE if _guess(sheet, name, signal.name, signal.unit) is not None]
         if name in sheet.faults:
-            why = "row {} has no number: {!r}".format(*sheet.faults[name])
+            why = "row {} has no number: {!r}".format(*sheet.faults[name]) + (
+                ", nor a time as 2026-05-13 09:00:00.000" if ":" in sheet.faults[name][1] else "")
         elif stated and not unit_of(stated):
             why = f"its unit {stated!r} is not known: give a unit that is, and scale"
         elif fits:
             why = f"{by_signal[fits[0]]!r} looks more like {fits[0]}"
+        elif not np.isfinite(sheet.column(name)).any():
+            why = "it has no number, as formulas that were never calculated"
+        elif _repeated(sheet, name) is not None:
+            why = "other columns have this name; give each a name of its own"
+        elif _tokens(_stated(sheet, name)[0]) & TIME and not _rises(sheet.column(name)):
+            why = "its times do not rise"
         else:
             why = "its name and unit fit no signal"
         rows.append(Unassigned(name, why))
     return rows + [Unassigned(name, why) for name, why in sheet.left_out.items()]
 
 
+def _repeated(sheet: LabTable, name: str) -> str | None:
+    """Return the name that a column shares with others, to which its number was added on reading; else None."""
+    shared = re.sub(r" \(\d+\)$", "", name)
+    return shared if shared in sheet and (shared != name or f"{name} (2)" in sheet) else None
+
+
+def _rises(values: Floats) -> bool:
+    """Return whether values can be times: some rise, and at most 1 % fall."""
+    steps = np.diff(values[np.isfinite(values)])
+    return bool((steps > 0).any() and (steps < 0).sum() <= 0.01 * len(steps))
+
+
 def _stated(sheet: LabTable, name: str) -> tuple[str, str]:
     """Return a column's name without its unit, and the unit by the row of units, else by the name, as written."""
-    bare, unit = split_unit(name)
+    bare, unit = split_unit(_repeated(sheet, name) or name)
     unit_text = sheet.written_unit(name)
     return bare, unit_text if unit_text not in ("", "-", "1") else unit
 
@@ -298,8 +319,7 @@ def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
         return None
     values = sheet.column(name)
     known = values[np.isfinite(values)]
-    steps = np.diff(known)
-    if not len(known) or (signal == "time_s" and ((steps < 0).sum() > 0.01 * len(known) or not (steps > 0).any())):
+    if not len(known) or (signal == "time_s" and not _rises(values)):
         return None
     score = 10.0 * (name == signal) + 2 * met + 0.5 * _met(words, wanted.likes) + bool(unit) - 0.1 * len(words)
     chosen, scale, why = _unit(signal, si, unit, known)

@@ -68,10 +68,12 @@ def import_(
     with terminal.progress(f"importing {source}") as update:
         report = import_file(source, output, mapped=mapped, overwrite=overwrite, progress=update)
     read_as = f"{source}: read with {', '.join(report.read_as)}."
+    table = columns is None and bool(report.left_out) and "rows" in report.counts
     return CommandAnswer({"trial": str(output), **report.as_json()}, [
         *([read_as] if report.read_as else []), f"Trial: {output}",
         *(f"  {name.replace('_', ' ')}: {count}" for name, count in report.counts.items() if count),
-        *(f"  left out: {name}" for name in report.left_out)])
+        *(f"  left out: {name}" for name in report.left_out),
+        *([f"To use what was left out: bowden import {source} --guess -o map.toml."] if table else [])])
 
 
 def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool) -> CommandAnswer:
@@ -89,11 +91,15 @@ def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool) -> C
         for guess in found:
             if guess.question:
                 print(f"Check {guess.signal}: {guess.column!r} {guess.question}")
+        if "time_s" not in {guess.signal for guess in found}:
+            print(f"No column looks like time, which a trial needs: add [time_s] and its column to {output}.")
         if others:
             print("Not assigned:")
             for column, why in others:
                 print(f"  {column!r}: {why}")
-            print(f"To use one of them, add to {output}: [SIGNAL], column = {others[0].column!r} and unit; signals "
+        columns = [one.column for one in others if one.column in sheet]
+        if columns:
+            print(f"To use one of them, add to {output}: [SIGNAL], column = {columns[0]!r} and unit; signals "
                   "without a column are listed there.")
 
     return CommandAnswer({"map": str(output), "read_as": sheet.remarks, "signals": {
