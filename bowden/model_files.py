@@ -3,8 +3,6 @@
 All conversions of a model for its users are here; `physics.bench_model` defines its content.
 """
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Any

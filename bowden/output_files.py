@@ -3,8 +3,6 @@
 An output is never one of the inputs, by whatever name or link; its content is that of its ending.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Iterable

@@ -4,8 +4,6 @@ It imports nothing of the project, since the import may be the hidden one. A fol
 test's folder `eds` of EDS files, hides nothing: the project's package of that name is loaded from its own place.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path

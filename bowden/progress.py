@@ -3,8 +3,6 @@
 The library prints nothing; a caller may hand in a `Progress`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol

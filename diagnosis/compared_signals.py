@@ -1,7 +1,5 @@
 """One measured signal with its errors under three models: reference, session adapted, with effects or terms."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

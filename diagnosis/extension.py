@@ -8,8 +8,6 @@ A diagnosis estimates a change.  Two models of one bench divide its friction dif
 an effect's size is stated for the model that it extends (`moved`).
 """
 
-from __future__ import annotations
-
 import json
 import math
 import tomllib

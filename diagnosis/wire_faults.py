@@ -5,8 +5,6 @@ is taken from the recorder's ages if available, else from repeated values. Repea
 noise and quantisation, are subtracted.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

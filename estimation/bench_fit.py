@@ -5,8 +5,6 @@ The file is a bench model (`physics.bench_model`).  `[parameters.NAME]`, `[discr
 `[fitted]`: trials and errors of the fit.  A value that the data do not determine has no interval and is its prior's.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Quantities that follow from the constants of a fit, each with its 1σ after and before the fit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 

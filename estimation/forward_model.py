@@ -3,8 +3,6 @@
 Implementations: the force path of the bench (`path_model`) and a rig of another kind (`rig_model`).
 """
 
-from __future__ import annotations
-
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -3,8 +3,6 @@
 The model is hierarchical: each trial departs from the bench by a session deviation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple

@@ -1,7 +1,5 @@
 """Data of the likelihood from a trial: signals with one low-pass on one time grid, outputs averaged over bins."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Course of a recorded trial under a forward model, and modulations of constants averaged over the bins of its data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

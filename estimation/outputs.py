@@ -1,7 +1,5 @@
 """Outputs of a bench trial, predicted by simulating the force path for a batch of coordinate vectors."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

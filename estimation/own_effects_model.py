@@ -6,8 +6,6 @@ The size a and the nonlinear parameters p of each own effect are further constan
 condition, so that an own effect is a hypothesis like any other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

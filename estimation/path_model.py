@@ -1,7 +1,5 @@
 """Forward model of the bench's force path: START, END and servo force, N, from measured rope and knee motion."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final

@@ -8,8 +8,6 @@ The posterior of q is that of the linearised g at its mode.  A constant without 
 zero, keeps the wide prior, so that an effect on it cannot be detected.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@
     ln p(y) = −½ cost(x̂) − ½ ln det(I + LᵀHᵀWHL),  P = LLᵀ,  H = [∂f/∂q, Φ]      up to a constant of the trial
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -4,8 +4,6 @@ The discrepancy is a Gaussian process in random Fourier features.  Its inputs ar
 under the trial's motion, not sensor readings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache

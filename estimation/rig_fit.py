@@ -4,8 +4,6 @@ The constants are those of the forward model of rigs, stated as parameters of `p
 the first part of each trial alone, measures how well such a model predicts the last part.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple

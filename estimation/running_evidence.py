@@ -9,8 +9,6 @@ An effect that begins in cycle c has the sums of B, C, d from c on.  Its evidenc
 the trial (half of the prior) and in each later cycle.  The verdict after the last cycle is the diagnosis of the file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import accumulate

@@ -16,8 +16,6 @@ under an inverse-gamma prior about the published one: a change does not hide in 
 The order in which sessions were entered has no influence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple

@@ -4,8 +4,6 @@ Inputs of the simulation are the measured rope position and knee angle; the othe
 The model is the many-segment path of `physics.plant` with its sensors.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise

@@ -4,8 +4,6 @@ First the force path is fitted and converted to parameters of the simulation.  T
 starting from these parameters.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Final

@@ -1,7 +1,5 @@
 """Reference posterior as bytes: arrays as npz, their structure as JSON, so that a file holds no code."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Mapping

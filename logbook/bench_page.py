@@ -3,8 +3,6 @@
 `export_table` writes a table of the logbook as CSV or Parquet.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping

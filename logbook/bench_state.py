@@ -5,8 +5,6 @@ trials of one session since the change against trials of sessions before it.  A 
 (`bowden.models.logbook_entries`), and the logbook keeps the verdict.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Mapping, Sequence

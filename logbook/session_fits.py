@@ -1,7 +1,5 @@
 """Fits of a logbook's trials: the reference posterior of its first sessions, and the sums of each trial under it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Final
 

@@ -4,8 +4,6 @@ One table for `bowden check config`, `bowden doctor` and the trial's file. What 
 that bring-up writes into it; what a monitor holds comes from the monitor's own declaration.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple

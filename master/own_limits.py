@@ -4,8 +4,6 @@
 joint or force path.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final

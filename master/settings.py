@@ -4,8 +4,6 @@ Declarations only; every number is checked on entry (`parameters.checked`), and 
 file.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 

@@ -3,8 +3,6 @@
 numba looks for a place when a function is declared, so this runs before the first room that declares one.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """Declarations of parameters, and checks of values against them."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import typing

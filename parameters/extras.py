@@ -4,8 +4,6 @@ The base distribution has devices, `bowden.testing`, node access, recording and 
 pictures are extras.
 """
 
-from __future__ import annotations
-
 from types import MappingProxyType
 from typing import Final
 

@@ -4,8 +4,6 @@ A named pipe, device or socket is refused before it is opened, since reading it 
 beside its target, under a random name, and then renamed.
 """
 
-from __future__ import annotations
-
 import gzip
 import io
 import os

@@ -4,8 +4,6 @@ The rule of this file: the project's own parts need no installation; a module is
 the current folder then; whatever a part's module raises while it is imported becomes one sentence.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import os

@@ -1,7 +1,5 @@
 """TOML tables in and out, by the declarations."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import math

@@ -5,8 +5,6 @@ them (`[effects.NAME]`) and the data that they were found on (`[found]`). A file
 identify` writes the first, `bowden diagnose` the second.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Mapping

@@ -6,8 +6,6 @@ packaged nominal one has the paper's numbers if the paper gives them, else assum
 the identified values completes their intervals to a joint covariance.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ Each conversion is next to its inverse. A quantity that a form does not contain 
 inside it, the fabric on the knee) keeps the given or the nominal value.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from typing import Final, NamedTuple
 

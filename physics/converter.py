@@ -4,8 +4,6 @@ A sample depends on the force's history, the instant and the seed only, never on
 is drawn from a counter, so that leaving a sample out changes no other.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple, dataclass
 from typing import Any, Final

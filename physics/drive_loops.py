@@ -4,8 +4,6 @@ Compiled functions on flat float64 arrays, without a clock; the caller gives the
 own: m for the servo (rope at the drum), rad for the knee; torque in N·m.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple, dataclass
 from typing import Any, Final

@@ -6,8 +6,6 @@ load, knee angle, pre-sliding states of rope and fabric (their direction history
 evaluates it from its simulated state, so that END stays out of the loop.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple

@@ -4,8 +4,6 @@ An expression is parsed and interpreted node by node: numbers, names, arithmetic
 else of Python is reachable from it.
 """
 
-from __future__ import annotations
-
 import ast
 import operator
 from collections.abc import Callable, Collection, Mapping

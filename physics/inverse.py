@@ -9,8 +9,6 @@ Both exponents depend on the tension behind them, 1 + λ·(T/40 N − 1), and on
 a tension T0 in proportion to it: a slack rope does not press on its sheath.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

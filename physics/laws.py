@@ -6,8 +6,6 @@ the name, and are converted at use. Signs: rope position and velocity > 0 pullin
 > 0 stretching.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final, TypeVar
 
 import numpy as np

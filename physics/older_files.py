@@ -5,8 +5,6 @@ Version 1 of a calibration has `[scalars.NAME]`, with the controller's names, fo
 of parameters.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from typing import Any, Final

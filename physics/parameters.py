@@ -5,8 +5,6 @@ effects read its row. All values are SI. A quantity with another name in a plant
 (`plant`); one with another form there has its conversion in `physics.conversions`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ does not follow sample k − 1 (a trial's start, a gap); there the memory starts
 see a change in this file: `plant.step` keeps a digest of its sources, other callers need their `__pycache__` deleted.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

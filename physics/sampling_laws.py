@@ -4,8 +4,6 @@ The rule of this file: counts of cycles and probabilities, nothing of signals. A
 probability p, only `most` cycles later or never (`most` infinite); the newest that has come is read.
 """
 
-from __future__ import annotations
-
 from typing import Final, NamedTuple
 
 import numpy as np

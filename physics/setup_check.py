@@ -4,8 +4,6 @@ The checks of a trial compare signals with each other. A fault that all of them 
 independent measure. The results are in the calibration's file.
 """
 
-from __future__ import annotations
-
 import datetime
 import math
 import re

@@ -5,8 +5,6 @@ less the parabola nearest to it over 0…60 N. So a, b and c keep their meaning 
 outside any parabola: a toe, or a stretch that saturates.  `of`: a calibration, which has the scalars.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

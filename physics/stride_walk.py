@@ -5,8 +5,6 @@ of the next are cross-faded over `BLEND` of the mean period about their seam, by
 stride is continued beyond its ends by its tangent, which fades within `BLEND`.  Angle and speed have no step.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

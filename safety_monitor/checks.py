@@ -4,8 +4,6 @@ Each row of `CHECKS` is one bound. A value that is no number is beyond every bou
 the enable line; no input closes it again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final, NamedTuple
 

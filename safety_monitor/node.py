@@ -4,8 +4,6 @@ The node has no object dictionary, no SDO server and no NMT slave: no frame chan
 bus and for a program on a real one alike; the sensors and the enable line are handed in.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final

@@ -1,7 +1,5 @@
 """The bounds of one person: a TOML file with nine numbers, read whole or refused, and its digest."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import tomllib

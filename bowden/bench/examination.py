@@ -4,8 +4,6 @@ Checks only read, nothing moves; a finding that is not good names the command to
 SDO round trips (reads of 0x1000) over minutes.
 """
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ python-can's reader of MDF files imports asammdf and pandas; `trial.convert.pyth
 file needs it.  numba imports `scipy.linalg` to learn whether it is installed; only its `np.convolve` heeds the answer.
 """
 
-from __future__ import annotations
-
 import gc
 import importlib
 import sys

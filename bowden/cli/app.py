@@ -4,8 +4,6 @@
 `[TRIAL]`, `TRIAL...`), without the type behind them; a command given without its arguments shows a short help.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

@@ -4,8 +4,6 @@ Each step has a line, on the disk before the next step begins.  A run that was k
 steps again: a step with a line returns its result.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable

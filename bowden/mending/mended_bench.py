@@ -1,7 +1,5 @@
 """Outcome of an unattended repair, and its page."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 END's reading decides, by its departure from the reference trial: an error of the sensor itself is in both.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Sequence
 from dataclasses import replace

@@ -6,8 +6,6 @@ A: the bench's calibration alone, B: with the extension.  One trial with each of
 extension that is proven, and its size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Measured bus load: the recorded frames' own bits, stuffing included."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recorded frames on a bus, in their time or one by one."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager

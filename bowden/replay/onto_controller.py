@@ -4,8 +4,6 @@ The steps are those of the gait itself (`experiment.Planned.walk`), fed with rec
 that the controller's memory is rebuilt; every output is compared bit for bit.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Callable

@@ -4,8 +4,6 @@ On the virtual bus the master is this process's own and runs the recorded experi
 program.
 """
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Sequence

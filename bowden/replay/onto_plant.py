@@ -1,7 +1,5 @@
 """Replay of recorded commands on a simulated bench: its responses, and the residuals of the recording."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

@@ -7,8 +7,6 @@ times are ns from the recording's first frame.  After a jump, frames that restor
 calls `poll`. `play_out` does so on a python-can bus.
 """
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@ The rule of this file: what comes in and goes out can be sent to another process
 with another trial, whichever thread it runs in; a trial's files are gone with it unless they are to be kept.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 import hashlib

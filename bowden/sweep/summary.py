@@ -3,8 +3,6 @@
 A row is a mapping of a table's columns to cells as text.  Every figure is over the trials that completed.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections import Counter

@@ -4,8 +4,6 @@ The rule of this file: while a sweep runs there is one CSV that only grows, so t
 that was finished; a Parquet table, and the order of the rows, are made of it at the end.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence

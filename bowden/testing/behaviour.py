@@ -4,8 +4,6 @@ It adds to a device profile (`nodes.Application`) and replaces none of it; funct
 the order of their declaration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any

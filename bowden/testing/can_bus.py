@@ -4,8 +4,6 @@ The rule of this file: everything happens in the thread of the test, in virtual 
 frames at the same nanoseconds on every run.
 """
 
-from __future__ import annotations
-
 import itertools
 import random
 from bisect import bisect_left

@@ -4,8 +4,6 @@ The rule of this file: a fault acts on the frames it names, in their order on th
 no part in it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

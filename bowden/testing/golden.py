@@ -1,7 +1,5 @@
 """Golden assertions: frames against a text file, a trial against another, with readable differences."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Sequence
 from itertools import zip_longest

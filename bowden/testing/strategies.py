@@ -1,7 +1,5 @@
 """Hypothesis strategies for PDOs and SDO conversations of a dictionary; they need `hypothesis`."""
 
-from __future__ import annotations
-
 import sys
 
 from hypothesis import strategies as st

@@ -4,8 +4,6 @@ It turns plain arguments into the checked sections that `session` runs; the outp
 returned trial.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ The rule of this file: a file that is full is closed whole before the next one b
 frame that did not fit; nothing is lost between two.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from pathlib import Path

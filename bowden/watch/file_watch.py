@@ -3,8 +3,6 @@
 The rule of this file: it reads one file and sends nothing to a bus; a stop is asked for by its answer alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

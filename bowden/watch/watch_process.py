@@ -4,8 +4,6 @@ The watch reads the file that the recorder writes; the processes exchange only w
 waits at each gait cycle for the watch, so that a stop comes at the same row in every run.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

@@ -5,8 +5,6 @@ The thresholds are calibrated on a development population of simulated benches, 
 errors.  `python -m tests.hidden.evidence_calibration` prints the quantiles that they come from.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

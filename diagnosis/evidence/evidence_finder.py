@@ -1,7 +1,5 @@
 """Steps of a diagnosis by evidence, from trials to findings: reference fit, search, decision, held-out errors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final

@@ -3,8 +3,6 @@
 A linear screen ranks the effects of the catalogue; only the first few are fitted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final

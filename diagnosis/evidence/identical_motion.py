@@ -7,8 +7,6 @@ sessions; their 1σ is √2 times that of one session.  ε: sensor noise of both
 that changes between sessions (`ForwardModel.session_share`).
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

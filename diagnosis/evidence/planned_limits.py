@@ -1,7 +1,5 @@
 """Detection limits of an experiment before it is recorded: the smallest size of each effect that it would show."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -6,8 +6,6 @@ A rig whose structure is not the model's differs between sessions in more than i
 linear at a mode, so that each evidence is a closed form of the mode's own matrices; nothing is fitted again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Selection of the terms that extend the model: evidence proposes them, held-out cycles decide."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Final
 

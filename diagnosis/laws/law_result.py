@@ -1,7 +1,5 @@
 """Result of a law search: terms with their equations, errors by signal, runners-up, and the confirming motion."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final

@@ -9,8 +9,6 @@ e: residual of the fit.  C: covariance of the data under it.  X: columns of a te
 A term is a candidate of a library of N; its prior probability is 1/N, which costs ln N nats.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,8 +1,6 @@
 """Library of candidate terms of a trial: constants that may be modulated, and modulations on grids of their parameters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 

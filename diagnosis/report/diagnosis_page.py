@@ -3,8 +3,6 @@
 The page only shows the findings of the diagnosis; each figure has its unit.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ The numbers are those of the page.  Each file is written under another name and 
 is ever visible.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

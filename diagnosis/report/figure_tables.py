@@ -3,8 +3,6 @@
 Figures are those of the diagnosis, each with its unit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Final
 

@@ -3,8 +3,6 @@
 They are complete for an engineer who reads nothing else: each figure has its unit and its reference.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 

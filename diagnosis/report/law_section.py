@@ -1,7 +1,5 @@
 """Card of a law: its terms, errors on held-out cycles, and the residual against the variable of each term."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final
 

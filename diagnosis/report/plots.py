@@ -3,8 +3,6 @@
 A line is broken over a gap in the compared samples.  Bands and means are of all trials together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, TypeVar
 

@@ -3,8 +3,6 @@
 The loop is START over END, or force over position where END is not recorded.  Curves are bin means, not smoothed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 

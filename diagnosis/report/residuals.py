@@ -3,8 +3,6 @@
 The models compared are the reference condition and the chosen model, on the data of the likelihood.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

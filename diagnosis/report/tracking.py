@@ -3,8 +3,6 @@
 END is the reading of its sensor, and the figures are those of `trial.metrics`; no simulated true value is used.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Final
 

@@ -4,8 +4,6 @@ Each check is a function from a trial to findings; a finding names the column an
 unit.  A finding refuses the trial only if a diagnosis of it would be wrong.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence

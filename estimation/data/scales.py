@@ -4,8 +4,6 @@ Each column is compared with another one, with the reference trials or with the 
 trial and names column, figure and remedy, so that a wrong column is never diagnosed as a fault of the bench.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final

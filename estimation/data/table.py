@@ -4,8 +4,6 @@ The diagnosis reads all trials here.  A missing column stays missing and is neve
 a table are ignored and named in `Table.notes`.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

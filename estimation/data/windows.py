@@ -4,8 +4,6 @@ Memory and time of a fit grow with the length of the trial.  Its error does not 
 scatter between sessions do not average out.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple

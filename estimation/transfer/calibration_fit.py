@@ -9,8 +9,6 @@ stretch and the pre-sliding travels come from one robust fit of the transfer mod
 knee's angle. κ keeps its value in the calibration at hand, and therefore has no evidence.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

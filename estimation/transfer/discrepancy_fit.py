@@ -12,8 +12,6 @@ trials, and have the error of that measurement.  Friction is the identification'
 before a gait trial estimated.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, Final

@@ -7,8 +7,6 @@ Friction and stretch are estimated relative to homing in the identification's se
 other ones from a loop than END shows. Creep widens a loop, too: it is estimated as a nuisance parameter.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Generator
 from typing import Final, NamedTuple

@@ -3,8 +3,6 @@
 Pure functions; complete laps of an experiment are left out, since samples of one lap are not independent.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 

@@ -5,8 +5,6 @@ fitted to all trials jointly (`calibration_fit.loops`).  The discrepancy START â
 An interval is that of the force path's posterior, widened by the difference between the two models' estimates.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 `ControllerInput` has no END, so no controller can use it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

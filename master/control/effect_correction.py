@@ -6,8 +6,6 @@ the gait cycle: the rope motion that it requires, and the readings of START and 
 effect.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ learnt from gait cycle to gait cycle (`learning`). The drive's own tracking erro
 encoder, in every phase; changes of friction are estimated (`friction_following`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple

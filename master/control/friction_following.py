@@ -12,8 +12,6 @@ so that friction does not. A systematic model error can therefore move friction 
 a little more in every cycle. END is not used.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final, NamedTuple
 

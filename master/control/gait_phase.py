@@ -19,8 +19,6 @@ degrees of freedom.  Beyond `LOST` of that there is no phase.  Without a phase, 
 phase whose likelihood is `ODDS` times that of every phase not near it begins the filter anew.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple

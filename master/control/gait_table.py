@@ -4,8 +4,6 @@ The rule of this file: everything that depends on the reference alone is a table
 the laws of `physics` before the first control cycle; nothing here sees a measurement.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from collections.abc import Sequence

@@ -9,8 +9,6 @@ It converges from any start if |Q·(1 − γ·z^d·T)| < 1 at every frequency: T
 of Q, and Q is small where T turns.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

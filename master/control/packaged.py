@@ -3,8 +3,6 @@
 The rule of this file: it joins the pure steps of `paper` and `extended` to `Controller` and holds no law.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from master.control import extended, paper

@@ -11,8 +11,6 @@ intermediate values.
 | paper      | fL + fT    | 1/(B·s + K) |
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -5,8 +5,6 @@ the drive's lag. A gain margin below two is not run: B is raised until it is two
 correction and changes nothing else.
 """
 
-from __future__ import annotations
-
 import cmath
 import dataclasses
 import math

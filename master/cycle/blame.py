@@ -4,8 +4,6 @@ Each suspect is declared by the relations that it alone disturbs. The suspect wh
 residuals is named, with its reading and the value expected from the others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple

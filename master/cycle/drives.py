@@ -4,8 +4,6 @@ The rule of this file: which controlword comes next is read from CiA 402's table
 positions until a drive is enabled, so that enabling moves nothing.
 """
 
-from __future__ import annotations
-
 import struct
 
 from eds.cia402 import Control, HomingMethod, Mode, State, Status, next_controlword, state_of

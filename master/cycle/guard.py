@@ -4,8 +4,6 @@ A check reads the data of the cycle. It raises `StopError` with the name of the 
 its consequences, and decides nothing else.
 """
 
-from __future__ import annotations
-
 import signal
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence

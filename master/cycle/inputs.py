@@ -3,8 +3,6 @@
 Names and units only; `exchange` fills them, `guard` and the controllers read them.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Final, NamedTuple

@@ -5,8 +5,6 @@ unfiltered bus, or the master's bus if that hands over blocks of all received fr
 trial.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
 

@@ -18,8 +18,6 @@ pays out gains no tension, however stiff it is: where it does, the knee is not w
 and release then give this bench's inertia, drive friction, stretch and friction bounds by least squares.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ An impossible value is not used and not repaired: its cycle counts as one withou
 values for `ENOUGH` cycles in a row contradicts its earlier values, and the trial stops.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple

@@ -14,8 +14,6 @@ END is compared with the desired force alone. Rope positions are those beyond th
 a bench without END (NaN) the rope alone is compared.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final, NamedTuple
 

@@ -3,8 +3,6 @@
 Whatever happens, the drives end disabled, SYNC stops, and the outcome has the reason.
 """
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import threading

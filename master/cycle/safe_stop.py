@@ -5,8 +5,6 @@ during the stop makes it shorter, never longer. The tension during unwinding is 
 estimate from the servo's force. A faulty sensor therefore cannot keep the rope taut, or pull it.
 """
 
-from __future__ import annotations
-
 import math
 
 from eds.cia402 import State, state_of

@@ -5,8 +5,6 @@ trusted it is unwound. The servo's torque goes off at once if signals contradict
 motion is not the commanded one or another master commands.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import Enum
 from types import MappingProxyType

@@ -4,8 +4,6 @@ Their peaks and cadences are others than those that a controller is judged at, b
 against END by motion and load is kept of them (`discrepancy_fit`), and no force over time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial

@@ -19,8 +19,6 @@ for the highest desired force (END 62 N), as far as START's limit permits, so th
 Most are at the paper's speed; a slower and a faster one separate breakaway, viscous friction and the sensors' lag.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

@@ -4,8 +4,6 @@ Each bound is read from the constant or setting that decides, so that the table 
 `docs/safety.md` prints it with the largest value of healthy trials (`python -m benchmarks.supervision --page`).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, NamedTuple
 

@@ -4,8 +4,6 @@ Each is one procedure inside the control cycle, with the trial's own limits and 
 only the drive that it moves, and returns its result.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable, Mapping

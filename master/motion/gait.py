@@ -3,8 +3,6 @@
 The rule of this file: a cycle whose needed inputs are not all of this SYNC makes no step; it holds its targets.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

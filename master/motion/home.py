@@ -6,8 +6,6 @@ which the release slides again, and back through the preload. Before anything fa
 the calibration, and the sensors with each other; what disagrees is refused with both numbers.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Iterable

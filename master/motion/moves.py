@@ -3,8 +3,6 @@
 The rule of this file: a move ends at its target or raises, and never exceeds the speed that it is given.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Generator
 from typing import Final, TypeVar

@@ -5,8 +5,6 @@ half a gait cycle behind the path before it, as the legs of a walker do; an anta
 its joint. An experiment of the catalogue runs on one path after the other, the others slack.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field

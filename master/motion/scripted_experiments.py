@@ -5,8 +5,6 @@ A motion starts from the last targets, is led at its stated speed, and never rea
 numbered like a gait cycle, so that a diagnosis can hold out complete laps.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Final, NamedTuple, assert_never

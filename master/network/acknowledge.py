@@ -4,8 +4,6 @@ The rule of this file: it is asked for by a person who has looked; it enables no
 active refuses it.
 """
 
-from __future__ import annotations
-
 from typing import Final, NamedTuple
 
 from eds.bench.bench_network import WireLayout

@@ -4,8 +4,6 @@ The rule of this file: a node that is not as expected is refused by name and rea
 enabled, and a drive that is found enabled loses its torque first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, Protocol

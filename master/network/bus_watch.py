@@ -7,8 +7,6 @@ be detected. Each kind is logged once, with its number of repetitions. Nothing h
 can move something.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping
 from typing import Final, NamedTuple

@@ -1,7 +1,5 @@
 """State and errors of the CAN controller from its error frames, as events of the trial."""
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from typing import NamedTuple
 

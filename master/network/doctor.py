@@ -4,8 +4,6 @@ A check only reads: it changes nothing and enables nothing. On the bus it listen
 identities (0x1000, 0x1018).
 """
 
-from __future__ import annotations
-
 import json
 import os
 import platform

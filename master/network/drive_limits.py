@@ -5,8 +5,6 @@ trial that the master would let pass is not stopped by a drive; a limit that was
 the drives, too.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A trial runs without any of these; each refusal gives one sentence with the comm
 The priority is requested last, since slow requests would otherwise delay another cycle on this processor.
 """
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os

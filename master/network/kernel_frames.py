@@ -5,8 +5,6 @@ Memory in, numbers out, and of system calls only those of a control cycle. A slo
 cycle is reported, and the frames are then processed one by one elsewhere.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

@@ -4,8 +4,6 @@ The rule of this file: time passes only inside `bus.recv`; whoever waits for som
 service meanwhile (own heartbeat, heartbeats and emergencies of the nodes, SDO responses).
 """
 
-from __future__ import annotations
-
 import errno
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator

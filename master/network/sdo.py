@@ -3,8 +3,6 @@
 Nothing else of the master imports canopen; a response is waited for by pumping the bus.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol, cast

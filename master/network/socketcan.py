@@ -5,8 +5,6 @@ It provides exact time stamps, marks this computer's own frames, and counts fram
 blocks. SYNC stays with the broadcast manager.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import select

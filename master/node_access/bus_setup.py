@@ -1,7 +1,5 @@
 """Nodes of a bus and a `bus.yml`: a file's PDOs and writes into the nodes, and the nodes' settings into a file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final

@@ -4,8 +4,6 @@ Parameters are objects that an EDS marks rw and no PDO carries, less commands an
 A DCF is the device's own EDS with their values in it, so any CANopen tool reads it.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime, timedelta

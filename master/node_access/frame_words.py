@@ -3,8 +3,6 @@
 The rule of this file: frames and times in, lines out; it opens no bus and no file.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

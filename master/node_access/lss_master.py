@@ -4,8 +4,6 @@ Waiting is receiving. `canopen.lss` is not used here, but as a test's counterpar
 after each number of an identity, and waits 0.5 s for each bit that no slave confirms.
 """
 
-from __future__ import annotations
-
 from contextlib import suppress
 from typing import Final
 

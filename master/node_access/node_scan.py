@@ -1,7 +1,5 @@
 """Nodes 1 to 127 of a bus: heartbeats heard, and the answers to one SDO read each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple

@@ -3,8 +3,6 @@
 The rule of this file: an index is hexadecimal, with or without 0x; so is a sub-index.
 """
 
-from __future__ import annotations
-
 import re
 from types import MappingProxyType
 from typing import Final

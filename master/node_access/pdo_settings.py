@@ -3,8 +3,6 @@
 The rule of this file: a mapping that the node refuses is taken back, so that the PDO is as it was.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, NamedTuple

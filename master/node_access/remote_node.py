@@ -3,8 +3,6 @@
 A method answers with data; the words of a command line are the command's.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from contextlib import suppress

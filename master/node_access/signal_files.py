@@ -3,8 +3,6 @@
 Names, places, scales and units are those of a `FrameReader`, so that a file agrees with the monitor's lines.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import struct

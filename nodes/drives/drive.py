@@ -3,8 +3,6 @@
 This module joins the device core to the state machine and the modes; it decides nothing itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Final

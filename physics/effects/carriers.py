@@ -1,7 +1,5 @@
 """Sites of the bench at which effects act, and constants that a term or a user's own effect may modulate."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 

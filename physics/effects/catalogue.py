@@ -5,8 +5,6 @@ name no effect in their own code. A file states effects as `[effects.NAME]`, eac
 that has a `value`; what else stands beside a value (interval, unit) is evidence and not read here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields

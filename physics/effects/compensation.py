@@ -3,8 +3,6 @@
 An effect without one here (of END, of the drive's force) is nothing that START, rope and knee can undo.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final

@@ -4,8 +4,6 @@ A row: name, site, submodel, source, parameters of the table, signature, words f
 experiment that separates them.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -3,8 +3,6 @@
 Types only. Values are named as in `physics.parameters`, all are SI.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

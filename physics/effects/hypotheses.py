@@ -4,8 +4,6 @@ An effect is a hypothesis: it adds prior variance along directions in the space 
 entry a variant; variants of an effect (time constants, drum radii, kinds of backlash) have one name.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple

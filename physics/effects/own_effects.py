@@ -6,8 +6,6 @@ too.  Such an effect is in the catalogue like a packaged one; it competes in the
 of an installed package in all.  A diagnosis that names it writes a term.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence

@@ -10,8 +10,6 @@ load's share is the capstan's, START = END·e^(±c·s), with G·a = T₀·sinh c
 `prefix` "" for friction between two tensions, "drive_" for that of a drive; `load`, `speed`: T₀ and v₀ of the rig.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Final

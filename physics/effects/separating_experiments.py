@@ -6,8 +6,6 @@ which `master.motion.scripted_experiments` runs it on a bench, and the waypoints
 entries that have a script.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

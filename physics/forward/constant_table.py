@@ -4,8 +4,6 @@ A constant is a function of a coordinate q that a Gaussian describes: q = 0 is t
 `bench_sd` the 1σ between benches and `session_sd` the 1σ between two sessions of one bench, both in units of q.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 

@@ -6,8 +6,6 @@ continuous in the parameters, so that finite differences give usable Jacobians. 
 negative; SI.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final, NamedTuple
 

@@ -3,8 +3,6 @@
 One row a constant.  The same rows serve the reference fit, the evidence of an effect and the report.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -4,8 +4,6 @@
 a time grid of `step_s`; results have shape (sets, samples).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, Protocol
 

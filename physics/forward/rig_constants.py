@@ -6,8 +6,6 @@ of rest as much (repeats of a seal, a cable drive and a pendulum differ by 0.1 t
 shares, one of four repeats of that seal is named.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 

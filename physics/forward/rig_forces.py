@@ -4,8 +4,6 @@ Each function takes constants by name, of shape (sets, 1), and signals of shape 
 shape (sets, samples).  A set of constants is a row of `physics.forward.rig_constants`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import NamedTuple

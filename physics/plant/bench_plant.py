@@ -4,8 +4,6 @@ Torques in, positions, speeds, knee angle and both tensions out, times in intege
 protocol `Plant` can run behind the same nodes (entry-point group `bowden.plants`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from math import cos, isfinite
 from typing import Final, NamedTuple, Protocol

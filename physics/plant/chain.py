@@ -5,8 +5,6 @@ the leg. Between them the cable's nodes slide in the sheath and the fabric's on 
 leg. Friction therefore turns with the rope's velocity in (3) and with the fabric's strain rate in (7).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import njit

@@ -8,8 +8,6 @@ shares of its length, and continues along its tangent from 90 % of the turning t
 negative; the rope pulls towards extension with the moment arm dx/dθ = k2 + 2·k3·θ, which is (11) by virtual work.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

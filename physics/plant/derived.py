@@ -5,8 +5,6 @@ measured: the least for which the fastest mode of the chain turns by `TURN` rad 
 a gram to a gram; the paper takes rope and fabric as massless.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple
 from typing import Final

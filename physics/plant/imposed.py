@@ -4,8 +4,6 @@ The rule of this file: it is the plant's own chain (`chain`, `components`) witho
 mechanics; node 0 and the anchor follow cubic splines through the samples, in steps of `STEP_S` at most.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Sequence

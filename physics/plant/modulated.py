@@ -5,8 +5,6 @@ over in a later trial, a trend stays at its end: these three act as constants.  
 plant, and so is any other signal that it does not have.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, Final

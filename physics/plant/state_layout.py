@@ -4,8 +4,6 @@ A declared parameter, a derived coefficient and a state each have one index, nam
 Python around it use the same names.
 """
 
-from __future__ import annotations
-
 from collections import namedtuple
 from dataclasses import dataclass
 from typing import Any, Final

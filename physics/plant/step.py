@@ -4,8 +4,6 @@ Semi-implicit Euler (velocities first, then positions), one flat array in and ou
 see a change in an imported module, so the sources' digest is a constant of the compiled functions.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from pathlib import Path
