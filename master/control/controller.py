@@ -7,6 +7,7 @@ bowden.controllers or as "module:Class". Around any of them effects beyond the c
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import typing
 from abc import abstractmethod
@@ -142,6 +143,8 @@ def own_parameters(kind: Kind, tuning: str, *, where: str) -> Any:
             raise InputError(f"{where}: this controller declares no parameters, so {', '.join(given)} cannot be set; "
                              "see docs/controllers.md.")
         return None
+    if not dataclasses.is_dataclass(declared):
+        raise InputError(f"{where}: its parameters are no dataclass; write @dataclass(frozen=True) above that class.")
     hints = typing.get_type_hints(declared)
     return from_table(declared, {name: _typed(hints.get(name), text) for name, text in given.items()}, where=where)
 

@@ -139,6 +139,7 @@ def test_a_moved_file_is_told_and_found_again(here: Path, bowden: Callable[..., 
     assert "file not found" in Path("page.html").read_text(encoding="utf-8")
     status, out, _ = bowden("logbook", "add", "book", "b.csv", "--session", "tuesday")
     assert (status, out.startswith("Trial 1, session monday: "), "it was entered before" in out) == (0, True, True), out
+    assert "keeps that session; --session tuesday is not used" in out
     again = told(bowden, "logbook", "list", "book")["newest"]
     assert [(row["there"], row["label"]) for row in again] == [(True, "monday")]
 

@@ -74,6 +74,12 @@ def test_a_trial_sets_them_within_their_bounds(own: Path, bowden: Callable[..., 
     assert (status, "declares no parameters" in err) == (2, True)
 
 
+def test_parameters_that_are_no_dataclass_are_refused(own: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
+    (own / "own.py").write_text(OWN.replace("@dataclass(frozen=True)\n", ""), encoding="utf-8")
+    status, out, err = bowden("trial", "--controller", "own.py:Own", "--cycles", 1, "--settle", 0, "-o", "a.mcap")
+    assert (status, out, "are no dataclass; write @dataclass(frozen=True)" in err, err.count("\n")) == (2, "", True, 1)
+
+
 def test_a_controller_that_fails_leaves_its_name_free(own: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
     words = ("trial", "--controller", "own.py:Own", "--cycles", 1, "--settle", 0, "--period", 0.6, "-o", "a.mcap")
     status, out, _ = bowden(*words, "--set", "fault=1")

@@ -73,6 +73,7 @@ def add_trials(folder: Folder, files: Files, session: options.Session = None) ->
     added = [entry._asdict() | {"new": new} for entry, new in entries]
     return CommandAnswer({"logbook": str(folder), "added": added}, [
         f"Trial {entry.id}, session {entry.label}: {entry.path}" + ("" if new else "; it was entered before")
+        + ("" if new or session in (None, entry.label) else f" and keeps that session; --session {session} is not used")
         + ("" if entry.estimated else f"; not fitted: {entry.remark}") for entry, new in entries])
 
 
