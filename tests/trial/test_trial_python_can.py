@@ -16,7 +16,7 @@ import pytest
 import trial
 from parameters import InputError
 from trial.convert.frames import ChannelNumbers
-from trial.convert.python_can import McapReader, McapWriter, TrialMessage
+from trial.convert.python_can import McapReader, McapWriter, TrialMessage, read_log
 from trial.mcap_file import cdr
 
 ROOT = Path(trial.__file__).parent.parent
@@ -130,6 +130,20 @@ def test_frames_that_a_trial_cannot_hold_are_counted(tmp_path: Path) -> None:
     opened = trial.open(path)
     assert len(opened.frames) == 1
     assert opened.result == {"fd_frames": 1, "channels": {"vcan3": 3}}
+
+
+def test_the_bytes_that_a_cut_log_lacks_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "log.blf"
+    with can.BLFWriter(path) as writer:
+        for k in range(20_000):
+            writer.on_message_received(can.Message(timestamp=k / 1000, arbitration_id=k % 500, data=k.to_bytes(8)))
+    whole = path.read_bytes()
+    frames = read_log(path)
+    assert (len(frames.rows), frames.counts["missing_bytes"]) == (20_000, 0)
+    path.write_bytes(whole[:-1000])
+    frames = read_log(path)
+    assert 0 < len(frames.rows) < 20_000
+    assert frames.counts["missing_bytes"] == 1000
 
 
 def test_what_cannot_be_done_is_said(tmp_path: Path) -> None:

@@ -209,7 +209,8 @@ LAST_IDENTIFIER: Final = 0x1FFF_FFFF
 def read_log(path: Path, progress: Callable[[float], None] = lambda share: None) -> LoggedFrames:
     """Read a log in a format of python-can (.asc, .blf, .trc …, its own .csv and .db; some packed by gzip).
 
-    `counts` holds CAN FD frames (a trial cannot store them), DLCs above 8 of classical frames, and malformed frames.
+    `counts` holds CAN FD frames (a trial cannot store them), DLCs above 8 of classical frames, malformed frames, and
+    the bytes that a BLF file has less than its header states.
     `progress` receives the share read, 0 … 1. Raises `InputError` if the file is malformed.
     """
     refuse_special(path)
@@ -222,6 +223,8 @@ def read_log(path: Path, progress: Callable[[float], None] = lambda share: None)
                 if number % ROWS_AT_ONCE == 0:
                     progress(share())
                 _take(message, rows, channels, counts)
+            if path.suffix.lower() == ".blf":  # its header states the size that its writer closed it with
+                counts["missing_bytes"] = max(0, reader.file_size - path.stat().st_size)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of a CAN log.") from None
     except InputError:
