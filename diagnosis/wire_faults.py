@@ -163,7 +163,7 @@ def _aged(effect: Effect, histogram: AgeHistogram) -> FittedFault:
 
 
 def _misfit(law: sampling_laws.Staleness, histogram: AgeHistogram) -> float:
-    """Return the negative log-likelihood of the observed ages; one value in all may be late for another reason."""
+    """Return the negative log-likelihood of the observed ages under `law`; no age counts as rarer than 1 in all."""
     expected = sampling_laws.ages(law) if histogram.chance is None else sampling_laws.repeats(law, histogram.chance)
     return -float(histogram.counts @ np.log(np.maximum(expected, 1.0 / histogram.counts.sum())))
 

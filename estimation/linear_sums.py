@@ -153,7 +153,7 @@ def _along(table: ConstantTable, along: Mapping[str, float]) -> Mapping[str, flo
 
 
 def _origin(model: ForwardModel, q: Array, variant: Variant, names: Sequence[str]) -> tuple[tuple[int, float], ...]:
-    """Return the coordinates, by row, in which the point of a variant's slopes differs from `q`, as in `response`."""
+    """Return row and value of each coordinate in which the point of a variant's slopes differs from `q`."""
     table, at = model.constants, q.copy()
     for name, value in variant.at.items():
         at[table.index[name]] = table.coordinate(name, value)

@@ -156,7 +156,8 @@ class LiveState:
                 self._happened(*event)
 
     def _at(self, time_ns: int, before_ns: int | None) -> int:
-        """Follow the bus's time and return it; where one kind of message goes back in it, all begins again (a seek)."""
+        """Set the present bus time and return it; a message older than the last of its kind, `before_ns`, by more than
+        `LOAD_NS` comes after a seek and clears the content."""
         if self.first_ns is None:
             self.first_ns = time_ns
         if before_ns is not None and time_ns < before_ns - LOAD_NS:

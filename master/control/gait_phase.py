@@ -30,7 +30,8 @@ from master.control.gait_table import GaitTable, at
 from physics.laws import Array
 
 PHASE, RATE, SIZE, AWAY, AWAY_RATE, STATES = range(6)
-"""States of the filter: φ, cycles; ω, cycles/s; a; d, rad; d', rad/s."""
+"""Places of the filter's states: phase φ, cycles; rate ω, cycles/s; amplitude a of the stride, relative; departure d of
+the knee from the stride, rad; its rate d', rad/s."""
 COVARIANCE = STATES
 HELD = COVARIANCE + STATES**2
 """First place of the memory behind the filter: 1 if a phase is estimated.  `SINCE`: control cycles since the last
@@ -45,7 +46,8 @@ MEMORY = RING + DELAYS
 RATE_SHARE, SIZE_SHARE = 0.06, 0.06
 """Standard deviation of a stride's rate and amplitude, relative: ± 8 and ± 10 % drawn evenly are 0.046 and 0.058."""
 LAMBDA_T: Final = 11.0
-"""λ by the duration of a stride: the autocorrelation of those strides' departures is 0.5 after 15 % of the gait."""
+"""Decay rate λ of the departure d times the duration of a stride: the autocorrelation of d falls to 0.5 after 15 % of
+the gait, as that of the recorded strides does."""
 NOISE_RAD: Final = 5e-4
 """Standard deviation of an encoder's angle, rad."""
 LOST: Final = 18.5

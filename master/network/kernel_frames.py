@@ -21,7 +21,7 @@ BATCH: Final = 32
 """Number of slots, and of headers, of one `recvmmsg`."""
 SLOTS: Final = BATCH * HEADER
 KNOWN: Final = SLOTS + BATCH * SLOT
-"""Words that a socket is read into: headers, then slots, then the state of the rows."""
+"""Place, in 8-byte words, of the state of the rows in a socket's memory, behind message headers and slots."""
 EFF, RTR, ERR, ID = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
 HERE: Final = 4
 """MSG_DONTROUTE: a program on this computer sent the frame."""

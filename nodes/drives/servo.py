@@ -71,8 +71,8 @@ class ServoDrive(Drive):
             self._press(tension, now_ns)
 
     def rpdo_effect(self, at: int) -> RpdoEffect | None:
-        """Return the handler of an object in a compiled cycle; that of START's tension below the rope's limit and
-        without a fault.
+        """Return the effect of an object of an RPDO on the axis; of START's tension only while it is valid and below
+        the rope's limit, else None.
         """
         if at != TENSION:
             return super().rpdo_effect(at)

@@ -80,7 +80,7 @@ class ConstantTable:
         return low, high, min(SOFTENED * row.session_sd, 0.1 * (high - low)) if row.session_sd else 0.0
 
     def _before(self, row: ModelConstant, value: float) -> float:
-        """Return the inverse of `_bent`."""
+        """Return the coordinate that `_bent` softens to `value` near a bound."""
         low, high, width = self._limits(row)
         if width == 0.0 or low + width <= value <= high - width:
             return value
