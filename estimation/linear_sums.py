@@ -15,7 +15,7 @@ import numpy as np
 
 from estimation.forward_model import ForwardModel
 from estimation.likelihood_data import Recording
-from estimation.posterior import bounded, mode
+from estimation.posterior import bounded, mode, slope_point
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Direction, Variant
 from physics.forward.constant_table import ConstantTable
@@ -154,14 +154,7 @@ def _along(table: ConstantTable, along: Mapping[str, float]) -> Mapping[str, flo
 
 def _origin(model: ForwardModel, q: Array, variant: Variant, names: Sequence[str]) -> tuple[tuple[int, float], ...]:
     """Return row and value of each coordinate in which the point of a variant's slopes differs from `q`."""
-    table, at = model.constants, q.copy()
-    for name, value in variant.at.items():
-        at[table.index[name]] = table.coordinate(name, value)
-    for name, (amount, size) in model.amounts.items():
-        if name in names:
-            at[table.index[amount]] += size
-    moved = [table.index[n] for n in names]
-    at[moved] = table.lifted(at)[moved]
+    at = slope_point(model, q, variant, names)
     return tuple((int(i), float(at[i])) for i in np.flatnonzero(at != q))
 
 

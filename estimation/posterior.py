@@ -319,15 +319,8 @@ def response(null: PosteriorMode, observed: SessionData, variant: Variant, furth
     that of the columns `further`.
     """
     names = sorted({n for d in variant.directions for n in d.along})
-    q, table = null.q.copy(), null.table
-    for name, value in variant.at.items():
-        q[table.index[name]] = table.coordinate(name, value)
-    for name, (amount, size) in observed.model.amounts.items():
-        if name in names:
-            q[table.index[amount]] += size
-    moved = [table.index[n] for n in names]
-    q[moved] = table.lifted(q)[moved]
-    _, slopes = observed.jacobian(q, moved)
+    _, slopes = observed.jacobian(slope_point(observed.model, null.q, variant, names),
+                                  [null.table.index[n] for n in names])
     column = {name: slopes[:, k] for k, name in enumerate(names)}
     effect = np.stack([d.sd * sum(share * column[n] for n, share in d.along.items()) for d in variant.directions], 1)
     inward, off = null.inward, null.x - null.prior_mean
@@ -344,6 +337,19 @@ def response(null: PosteriorMode, observed: SessionData, variant: Variant, furth
         spread = solved(further)
         applied -= spread @ np.linalg.solve(np.eye(further.shape[1]) + further.T @ spread, further.T @ applied)
     return effect, applied
+
+
+def slope_point(model: ForwardModel, q: Array, variant: Variant, names: Sequence[str]) -> Array:
+    """Return the coordinates at which the slopes of a variant by the constants `names` are taken, for a mode at `q`."""
+    table, at = model.constants, q.copy()
+    for name, value in variant.at.items():
+        at[table.index[name]] = table.coordinate(name, value)
+    for name, (amount, size) in model.amounts.items():
+        if name in names:
+            at[table.index[amount]] += size
+    moved = [table.index[n] for n in names]
+    at[moved] = table.lifted(at)[moved]
+    return at
 
 
 def own_error(at: PosteriorMode, observed: SessionData, prior: Gaussian, variant: Variant) -> Array:
