@@ -25,6 +25,7 @@ STYLE: Final = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:70em;padding:0 1em;color:#1c2430}
 h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}table{border-collapse:collapse;width:100%}
 td,th{padding:.25em .6em;text-align:left;border-bottom:1px solid #e3e7ec;vertical-align:middle}
+.said{overflow-wrap:anywhere}.day{white-space:nowrap}
 .alarm{background:#fdecea;border-left:5px solid #c62828;padding:.6em 1em;margin:.6em 0}
 .calm{background:#e8f5e9;border-left:5px solid #2e7d32;padding:.6em 1em;margin:.6em 0}
 .unknown{background:#fff8e1;border-left:5px solid #8a6d00;padding:.6em 1em;margin:.6em 0}
@@ -73,8 +74,9 @@ def _forecast(f: Any) -> str:
 def _notes(state: BenchState) -> str:
     if not state.notes:
         return ""
-    rows = "".join(f"<tr><td>{escape(n.made[:10])}</td><td>after {escape(str(state.labels.get(n.after, 'none')))}</td>"
-                   f"<td>{escape(n.text)}</td><td>{escape(', '.join(n.resets) or 'nothing')}</td></tr>"
+    rows = "".join(f"<tr><td class='day'>{escape(n.made[:10])}</td>"
+                   f"<td class='day'>after {escape(str(state.labels.get(n.after, 'none')))}</td>"
+                   f"<td class='said'>{escape(n.text)}</td><td>{escape(', '.join(n.resets) or 'nothing')}</td></tr>"
                    for n in state.notes)
     return ("<h2>Maintenance</h2><table><tr><th>entered</th><th>session</th><th>entry</th><th>resets</th></tr>"
             f"{rows}</table>")
@@ -93,7 +95,7 @@ def _constants(state: BenchState) -> str:
             f"<tr id='constant-{name}'{' class=moved' if name in moved else ''}><td><b>{name}</b><br><small>"
             f"{escape(course.meaning)}</small></td><td>{_sparkline(state, course, changed if name in moved else None)}"
             f"</td><td class='number'>{now} {escape(unit)}<br><small>{low} … {high}</small></td>"
-            f"<td class='number'>{scatter}<br><small>published {published}</small></td></tr>")
+            f"<td class='number'>{scatter} {escape(unit)}<br><small>published {published}</small></td></tr>")
     return ("<h2>Constants over sessions</h2><p><small>Band: 95 % interval of a session. Red: begin of the change, in "
             "the constants that it moves. Dashed: maintenance.</small></p><table><tr>"
             "<th>constant</th><th>sessions</th><th>now, 95 %</th>"

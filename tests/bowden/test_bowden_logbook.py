@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -97,9 +98,14 @@ def test_export_as_csv_and_parquet(bench: Path, bowden: Callable[..., Any], here
 
 def test_the_page_shows_constants_and_leads_to_trials(bench: Path, browser: Any, bowden: Callable[..., Any],
                                                       here: Path) -> None:
-    told(bowden, "logbook", "report", bench / "book", "-o", here / "page.html")
+    shutil.copytree(bench / "book", here / "book")
+    told(bowden, "logbook", "note", here / "book", "rope" * 400)
+    told(bowden, "logbook", "report", here / "book", "-o", here / "page.html")
     browser.open(here / "page.html")
     assert browser.complaints == []
+    assert browser.run("document.documentElement.scrollWidth <= innerWidth"), "a long word widens no page"
+    scatter = browser.run("document.querySelector('#constant-stiffness td:last-child').innerText")
+    assert re.match(r"[\d.]+ N\npublished", scatter), scatter
     assert browser.run("document.querySelector('p.unknown') !== null")
     assert browser.run("document.querySelectorAll('svg circle').length") == DAYS * browser.run(
         "document.querySelectorAll('svg').length")
