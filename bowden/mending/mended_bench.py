@@ -74,8 +74,8 @@ def write_page(result: MendedBench, path: Path) -> None:
             Tile(number(result.gain, 3), "points", "gain", f"95 %: {number(low, 3)} … {number(high, 3)}")])
         pairs = np.arange(1.0, len(result.before) + 1.0)
         page.plot(Plot("END's error by pair of trials", pairs, [
-            Series("without", result.before, "#d97706", points=True),
-            Series("with", result.after, "#2563eb", points=True)], "pair", "%"))
+            Series("A: without it", result.before, "#d97706", points=True),
+            Series("B: with it", result.after, "#2563eb", points=True)], "pair", "%"))
     page.section("Steps")
     page.table(["step", "what happened"], [(line["step"], _step_sentence(line["result"])) for line in result.steps[1:]])
     page.section("Files")

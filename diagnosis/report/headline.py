@@ -13,7 +13,7 @@ from physics.effects.carriers import SITES
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
 from trial.report.page import number
-from trial.report.words import words
+from trial.report.words import quantities, words
 
 NAMES: Final = {"tension_start_n": "START", "tension_end_n": "END", "servo_force_n": "the drive's force"}
 """Outputs whose error the first sentence gives, in words."""
@@ -274,6 +274,10 @@ def strongest(found: Findings) -> tuple[str, Figures] | None:
 
 def _shifts(shifts: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Return the three constants that changed most, of those that changed by 3 session σ or more, in words."""
-    rated = [(abs(row["sessions"]), f"{words(name)} {row['from']:.3g} → {row['to']:.3g} {row['unit']}".rstrip())
-             for name, row in shifts.items() if row["sessions"] is not None and abs(row["sessions"]) >= 3.0]
-    return [text for _, text in sorted(rated, reverse=True)[:3]]
+    rated = sorted(((abs(row["sessions"]), name) for name, row in shifts.items()
+                    if row["sessions"] is not None and abs(row["sessions"]) >= 3.0), reverse=True)
+    texts = []
+    for _, name in rated[:3]:
+        (before, after), unit = quantities((shifts[name]["from"], shifts[name]["to"]), shifts[name]["unit"])
+        texts.append(f"{words(name)} {before} → {after} {unit}".rstrip())
+    return texts

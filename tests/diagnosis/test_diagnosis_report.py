@@ -125,6 +125,13 @@ def test_first_come_error_cause_ambiguity_set_and_next_step(found: Findings, mea
     assert first == sorted(first)
 
 
+def test_constants_that_moved_have_prefixed_units(found: Findings) -> None:
+    moved = {"cable_compliance": {"from": 1.68e-5, "to": 2.93e-5, "unit": "m/N", "sessions": 4.0},
+             "load": {"from": 0.04, "to": -0.07, "unit": "", "sessions": -5.0}}
+    [told] = [line for line in headline(dataclasses.replace(found, evidence={"shifts": moved})) if "moved most" in line]
+    assert told == "Constants that moved most: load 0.04 → −0.07; cable compliance 16.8 → 29.3 µm/N."
+
+
 @pytest.mark.parametrize("effect", [*CATALOGUE])
 def test_no_name_of_a_program_is_in_the_first_lines(found: Findings, effect: str) -> None:
     parameters = {p.name: {"value": p.likely[1], "low": p.likely[0], "high": p.likely[1], "unit": p.unit}
