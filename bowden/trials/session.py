@@ -50,7 +50,8 @@ with on_first_use():
     from physics.plant import bench_plant
     from physics.reference import Reference
     from physics.stride_walk import Stride
-    from trial.curves import FORCE, Curve, read_curve, read_desired, read_strides
+    from trial import curves
+    from trial.curves import Curve, read_curve, read_desired, read_strides
     from virtual_bus.compiled import cycle_code
 
 
@@ -171,8 +172,9 @@ def desired_file(desired: Path | None) -> Path | None:
                 force = float(function(float(percent), TABLE_RAD * i))
             except Exception as error:
                 raise InputError(f"{at} raised {type(error).__name__}: {error}; mend it.") from None
-            if not FORCE.low <= force <= FORCE.high:
-                raise InputError(f"{at} is {force:g} N, expected {FORCE.low:g} to {FORCE.high:g}; mend it.")
+            if not curves.FORCE.low <= force <= curves.FORCE.high:
+                raise InputError(f"{at} is {force:g} N, expected {curves.FORCE.low:g} to "
+                                 f"{curves.FORCE.high:g}; mend it.")
             rows.append(f"{percent},{TABLE_RAD * i:g},{force!r}")
     return recorded.copied("desired.csv", "\n".join(rows).encode() + b"\n")
 
