@@ -9,7 +9,7 @@ calls `poll`. `play_out` does so on a python-can bus.
 
 from array import array
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import can
@@ -30,6 +30,7 @@ from eds.cia301 import (
 from parameters import InputError
 from trial.mcap_file import cdr
 from trial.playback import SPEEDS, TRANSITIONS, PlayerControl, PlayerStatus, ready
+from virtual_bus.wire.host import message_of
 
 Rows = NDArray[np.void]
 Integers = NDArray[np.int64]
@@ -120,7 +121,7 @@ def _window(frames: Rows, selection: Selection) -> tuple[int, int]:
 
 
 def chosen_by(frames: Rows, selection: Selection) -> NDArray[np.bool_]:
-    """Return a sentence with the filters by node, COB-ID, direction and channel."""
+    """Return a mask of the frames that pass the filters by node, COB-ID, direction and channel."""
     chosen = np.ones(len(frames), np.bool_)
     if selection.nodes:
         chosen &= np.isin(nodes_of(frames), list(selection.nodes))
@@ -219,7 +220,9 @@ class Player:
         self._send, self._loops = send, loops
         self._times: list[int] = schedule.times.tolist()
         self._channels: list[int] = schedule.frames["channel"].tolist()
-        self._playback = ready(0, schedule.length_ns, 0, checked_speed(speed))
+        if not SPEEDS[0] <= speed <= SPEEDS[1]:
+            raise InputError(f"--speed {speed:g}: expected 0.001 … 1000, recorded by played time; 1 is the original.")
+        self._playback = ready(0, schedule.length_ns, 0, speed)
         self._next = 0
 
     @property
@@ -253,10 +256,6 @@ class Player:
     def pause(self, now_ns: int) -> None:
         """Pause the playback; the devices keep the last commands."""
         self._control(PlayerControl.PAUSE, now_ns)
-
-    def set_speed(self, speed: float, now_ns: int) -> None:
-        """Set the playback speed from the present position on."""
-        self._playback = replace(self._playback.at(self.position_ns(now_ns), now_ns), speed=checked_speed(speed))
 
     def seek(self, position_ns: int, now_ns: int) -> list[Frame]:
         """Go to a position of this pass: the nodes get the NMT state of that time, and the last PDOs are sent again.
@@ -326,13 +325,6 @@ class Player:
         return Lateness(len(late), *rank)
 
 
-def checked_speed(speed: float) -> float:
-    """Return a speed that can be played, else raise `InputError`."""
-    if not SPEEDS[0] <= speed <= SPEEDS[1]:
-        raise InputError(f"--speed {speed:g}: expected 0.001 … 1000, recorded by played time; 1 is the original.")
-    return speed
-
-
 NS = 1_000_000_000
 LINGER_NS = 10_000_000
 """Time before the bus is closed after the last frame, so that the frame is transmitted."""
@@ -357,16 +349,9 @@ class Outlet:
         if bus is None:
             return
         try:
-            bus.send(message_of(frame), ROOM_S)
+            bus.send(message_of(frame, 0, False, ""), ROOM_S)
         except can.CanError:
             self.lost += 1
-
-
-def message_of(frame: Frame) -> can.Message:
-    """Return a frame as python-can's message."""
-    return can.Message(
-        arbitration_id=frame.can_id, data=frame.data, is_extended_id=frame.extended, is_remote_frame=frame.remote,
-        dlc=len(frame.data) if frame.dlc is None else frame.dlc, is_rx=False)
 
 
 def ignore_message(message: can.Message) -> None:

@@ -102,14 +102,6 @@ def test_pause_holds_the_position_and_play_goes_on_from_it() -> None:
     assert watch.run() == [(51, 2), (54, 3)]
 
 
-def test_speed_changes_from_where_it_is() -> None:
-    watch = Watch([0, 2, 6])
-    watch.player.play(watch.now_ns)
-    watch.run(1)
-    watch.player.set_speed(2.0, watch.now_ns)
-    assert watch.run() == [(1.5, 1), (3.5, 2)]
-
-
 def test_steps_send_one_frame_each_and_end() -> None:
     watch = Watch([0, 1, 3], loops=2)
     frames = [watch.player.step() for _ in range(7)]
