@@ -8,8 +8,6 @@ rows (`--page` does only that).  Serials with serial % 3 == 2 are set aside: not
 runs them once.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -4,8 +4,6 @@ Two pieces of work are compared in two processes that pass a token: only one run
 its own processor time.  What else runs on the machine strikes neighbouring turns alike, and their ratio stays.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math

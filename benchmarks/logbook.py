@@ -12,8 +12,6 @@ within the tolerance of like benches, or, for the packaged plant, are those of a
 session `BEGINS`; the sessions before it are the bench's own without a change, fitted once for all its logbooks.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import shutil

@@ -7,8 +7,6 @@ Both work on the same data, in turns, in two processes (`benchmarks.frame`), so 
 Rows without a library to compare with have one figure.  No figure fails a build.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import itertools

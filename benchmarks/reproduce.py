@@ -7,8 +7,6 @@ page of the rows that exist.  Benches are identified on day 0 and tried on day 1
 docs/results.csv; `--benches` runs the first so many, and the page states how many.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import math

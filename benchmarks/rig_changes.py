@@ -5,8 +5,6 @@ A change is right if its cause is in the answer's set and every name is allowed;
 `none`.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace

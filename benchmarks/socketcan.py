@@ -10,8 +10,6 @@ read off the bus by a third socket, in one way for every master: SYNC, four TPDO
 no drive enabled.  A master is a function that runs a number of cycles and returns the processor time of one.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

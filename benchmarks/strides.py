@@ -8,8 +8,6 @@ docs/unseen.csv has.  Walks that docs/strides.csv lacks are run until the minute
 is written, and its picture from the recordings that exist.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -15,8 +15,6 @@ an alarm shows 3.0 by its hours), and by the tail of the greatest share of a tol
 law through the upper tenth, Hill's estimate of its exponent).
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import dataclasses

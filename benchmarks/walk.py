@@ -4,8 +4,6 @@ Prints for each user the time to the first success, and for each command its tim
 with status 1 if a command prints a traceback or ends with another exit status than expected.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import os
