@@ -9,21 +9,30 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Mapping
+from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bowden import output_files
+from bowden.deferred import on_first_use
 from parameters import InputError
 from trial import read
 
-if TYPE_CHECKING:
-    import matplotlib.figure
+with on_first_use():
     import pandas
+    from matplotlib.figure import Figure
 
+    from bowden.pages import picture
+    from bowden.pages.figures import write_trial_page
     from trial.compare import TrialComparison
+    from trial.compare import compare as compared
+    from trial.convert.csv_table import read_map
+    from trial.convert.export import export as exported
+    from trial.convert.imports import import_file
+    from trial.report import words
 
 
 class Trial:
@@ -55,10 +64,6 @@ class Trial:
 
     def _repr_html_(self) -> str:
         """Return a table for a notebook: file, how it was run, how it ended, and a row for each signal."""
-        from html import escape
-
-        from trial.report import words
-
         told = words.shown({**self.metadata, **(self.recorded.result or {})})
         about = "".join(f"<tr><td>{escape(name)}</td><td>{escape(str(value))}</td></tr>"
                         for name, value in told.items())
@@ -69,14 +74,12 @@ class Trial:
         return (f"<p><b>{escape(self.path.name)}</b>: {len(self.time_ns)} control cycles</p>"
                 f"<table>{about}</table><table><tr><th>signal</th><th>unit</th><th>least</th><th>greatest</th></tr>{rows}</table>")
 
-    def plot(self, *names: str) -> matplotlib.figure.Figure:
+    def plot(self, *names: str) -> Figure:
         """Return a Matplotlib figure of signals over time (s), one axis for each unit.
 
         Without `names`: desired, START and END force, as far as they are known.  Raises `InputError` for a name that is
         no signal of the trial.
         """
-        from bowden.pages import picture
-
         return picture.signals(self.columns, self.units, names, self.path.name)
 
     @property
@@ -108,10 +111,9 @@ class Trial:
         Raises `InputError` where pandas is not installed.
         """
         try:
-            import pandas
+            frame = pandas.DataFrame(dict(self.columns), index=pandas.Index(self.time_ns, name="time_ns"))
         except ImportError:
             raise InputError("to_pandas needs pandas; say pip install 'bowden-bench[notebook]'.") from None
-        frame = pandas.DataFrame(dict(self.columns), index=pandas.Index(self.time_ns, name="time_ns"))
         frame.attrs["units"] = dict(self.units)
         return frame
 
@@ -126,8 +128,6 @@ class Trial:
 
     def report(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the trial as one HTML page that needs no network, as `bowden report` does."""
-        from bowden.pages.figures import write_trial_page
-
         write_trial_page(self.recorded, Path(path), overwrite=overwrite)
         return Path(path)
 
@@ -138,9 +138,6 @@ def read_trial(path: str | Path, *, columns: str | Path | None = None) -> Trial:
     `columns` is a map (TOML) of the file's columns, as `bowden import --guess` writes it.  A table is converted into a
     temporary file that lives as long as the trial.  Raises `InputError` for what cannot be read.
     """
-    from trial.convert.csv_table import read_map
-    from trial.convert.imports import import_file
-
     path = Path(path)
     if path.suffix.lower() == ".mcap" and columns is None:
         return Trial(path)
@@ -164,8 +161,6 @@ def export(
     .csv, .csv.gz, .xlsx, .tdms, .parquet, .mf4 and .mat (v5; v7.3 with `mat73`) hold its cycles, .log (candump), .asc,
     .blf and .trc its frames.  Raises `InputError`.
     """
-    from trial.convert.export import export as exported
-
     given = trial if isinstance(trial, Trial) else Trial(trial)
     output_files.refuse([Path(path)], overwrite=overwrite, inputs=[given.path])
     return exported(given.recorded, path, mat73=mat73, overwrite=overwrite)
@@ -176,8 +171,6 @@ def compare(a: Trial | str | Path, b: Trial | str | Path) -> TrialComparison:
 
     Signals are compared row by row, by gait phase or by time; `matched` names which. Raises `InputError`.
     """
-    from trial.compare import compare as compared
-
     return compared(*((each if isinstance(each, Trial) else Trial(each)).recorded for each in (a, b)))
 
 
