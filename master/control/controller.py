@@ -143,7 +143,7 @@ def own_parameters(kind: Kind, tuning: str, *, where: str) -> Any:
             raise InputError(f"{where}: this controller declares no parameters, so {', '.join(given)} cannot be set; "
                              "see docs/controllers.md.")
         return None
-    if not dataclasses.is_dataclass(declared):
+    if not (isinstance(declared, type) and dataclasses.is_dataclass(declared)):
         raise InputError(f"{where}: its parameters are no dataclass; write @dataclass(frozen=True) above that class.")
     hints = typing.get_type_hints(declared)
     return from_table(declared, {name: _typed(hints.get(name), text) for name, text in given.items()}, where=where)
