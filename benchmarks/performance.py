@@ -466,18 +466,12 @@ HOUR_CYCLES = 1800
 
 
 def memory() -> Iterator[Row]:
-    """Measure the peak memory of commands with a trial of 240 s and of 30 s; of those that fit windows, with an hour's.
-    """
+    """Measure the peak memory of commands with a trial of an hour, beside one of 240 s."""
     with tempfile.TemporaryDirectory() as folder:
         used(MEMORY["bowden trial"], at=f"{folder}/compiles", cycles=2)
-        for name, line in MEMORY.items():
-            short, long = (used(line, at=f"{folder}/{cycles}", cycles=cycles)[1] for cycles in (15, 120))
-            yield (f"peak memory of `{name}`, a trial of 240 s, MB", f"{long:.0f}", "one of 30 s", f"{short:.0f}",
-                   f"{short / long:.2f}")
-        for line in (MEMORY["bowden trial"], HEALTHY):
-            used(line, at=f"{folder}/{HOUR_CYCLES}", cycles=HOUR_CYCLES, healthy=f"{folder}/healthy")
-        for name, line in BOUNDED.items():
-            short, long = (used(line, at=f"{folder}/{cycles}", healthy=f"{folder}/healthy")[1]
+        used(HEALTHY, healthy=f"{folder}/healthy")
+        for name, line in {**MEMORY, **BOUNDED}.items():
+            short, long = (used(line, at=f"{folder}/{cycles}", cycles=cycles, healthy=f"{folder}/healthy")[1]
                            for cycles in (120, HOUR_CYCLES))
             yield (f"peak memory of `{name}`, a trial of an hour at 1 kHz, MB", f"{long:.0f}", "one of 240 s",
                    f"{short:.0f}", f"{short / long:.2f}")
