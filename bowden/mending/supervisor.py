@@ -56,7 +56,10 @@ def mend(reference: Sequence[str | Path], folder: str | Path, *, bus: BusSetting
     """
     paths, folder = [Path(path) for path in reference], Path(folder)
     bench = NightTrials(paths, folder, bus or buses.simulated(), hours, cycles, progress)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}); give a writable place.") from None
     journal = Journal(folder / JOURNAL, {
         "reference": [str(path.resolve()) for path in paths], "hours": hours, "cycles": cycles}, resume=resume)
     return _Run(paths, bench, journal).run()

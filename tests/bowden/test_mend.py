@@ -70,6 +70,13 @@ def test_a_reference_that_is_no_recorded_trial_is_refused(tmp_path: Path) -> Non
         bowden.mend([tmp_path / "good.csv"], tmp_path / "night")
 
 
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    good = tmp_path / "good.mcap"
+    bowden.run(bowden.Experiment(cycles=1, settle=0, period_s=0.6), output=good)
+    with pytest.raises(InputError, match=r"good\.mcap/night: cannot be made"):
+        bowden.mend([good], good / "night")
+
+
 @pytest.mark.exhaustive
 def test_a_bench_is_repaired_and_a_killed_run_goes_on(tmp_path: Path) -> None:
     good = tmp_path / "good.mcap"
