@@ -137,7 +137,7 @@ def test_cycles_of_a_bus_without_numbers_are_cut_by_the_period() -> None:
     (("trial", "-o", "x.mcap", "--watch", "--healthy", "none.csv", "--stop-on", "moon"), "--stop-on moon"),
     (("trial", "-o", "x.mcap", "--watch", "--healthy", "none.mcap"), "none.mcap: no such file"),
     (("watch", "x.mcap"), "name at least one with --healthy"),
-    (("watch", "x.csv", "--healthy", "x.mcap"), "x.csv: a trial is written as .mcap"),
+    (("watch", "x.csv", "--healthy", "x.mcap"), "say bowden diagnose x.csv, or make a trial of it with bowden import"),
     (("watch", "--healthy", "x.mcap"), "give either a file or --interface"),
     (("watch", "--interface", "virtual", "--healthy", "x.mcap"), "name the file with -o FILE"),
 ], ids=lambda given: " ".join(given) if isinstance(given, tuple) else "")

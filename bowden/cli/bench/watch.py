@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from bowden import output_files
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import NothingGivenError, app
@@ -131,7 +130,9 @@ def watch(
     bench = replace(watched_bench(healthy, logbook), path=path or (
         None if logbook is None else logbook_entries.path_of(logbook)))
     if trial is not None:
-        output_files.refuse_ending(trial, ".mcap", what="a trial")
+        if trial.suffix.lower() != ".mcap":
+            raise InputError(f"{trial}: a watch reads a trial (.mcap) while it is written; say "
+                             f"bowden diagnose {trial}, or make a trial of it with bowden import.")
         return _file(trial, bench, seconds)
     return _bus(reached, output, bench, seconds, overwrite=overwrite)
 

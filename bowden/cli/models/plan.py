@@ -47,7 +47,7 @@ def plan_experiment(
         raise InputError("--model simulates its bench; leave trials, --healthy, --logbook and --path out.")
     if model is None and logbook is None and not trials:
         raise NothingGivenError("TRIAL… | --logbook DIR | --model FILE",
-                                "give trials with --healthy, a --logbook or a --model.")
+                                "name a TRIAL, and with --healthy its reference trials; or a --logbook or a --model.")
     with terminal.waiting("simulating the experiments"):
         if model is not None:
             found = experiment_plan.of_model(model)
