@@ -107,6 +107,10 @@ class Finder:
         """
         if not trials or not self._read:
             raise InputError("discover: name at least one trial, and one in the reference condition with --healthy.")
+        with threadpool_limits(1, user_api="blas"):
+            return self._discovered(trials)
+
+    def _discovered(self, trials: Sequence[Given]) -> tuple[Laws, BenchModel | None]:
         held = [[_read(t) for t in trials], list[Table]()]
         refusals = self._examined(held)[1]
         if refusals:
@@ -118,8 +122,7 @@ class Finder:
         refused = _short(tables) or core.lacking(tables) or core.unlike(tables)
         if refused:
             raise InputError(refused)
-        with threadpool_limits(1, user_api="blas"):
-            return discover(*core.observed(tables)), self._model(core, tables)
+        return discover(*core.observed(tables)), self._model(core, tables)
 
     def _known(self, trials: Sequence[Table]) -> Mapping[str, Any] | None:
         return self.calibration if self.calibration is not None else trials[0].calibration

@@ -4,8 +4,9 @@ The model is hierarchical: each trial departs from the bench by a session deviat
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Final, NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -65,12 +66,24 @@ def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian, starts: i
     return min((mode(fine, prior, start=x) for x in near[:(starts + 1) // 2]), key=lambda m: m.cost)
 
 
-class _Linear(NamedTuple):
-    """A trial linearised at its mode: error e ≈ H·(departure from the origin) + noise, with design H and weights."""
+@dataclass(frozen=True)
+class _Linear:
+    """A trial linearised at its mode: error e ≈ H·(departure from the origin) + noise, with design H and weights W.
+
+    `information`: HᵀWH.  `pull`: HᵀWe.
+    """
 
     design: Array
     error: Array
     weight: Array
+
+    @cached_property
+    def information(self) -> Array:
+        return np.asarray((self.design.T * self.weight) @ self.design)
+
+    @cached_property
+    def pull(self) -> Array:
+        return np.asarray(self.design.T @ (self.weight * self.error))
 
 
 class _Fit:
@@ -164,7 +177,7 @@ class _Fit:
         ratio = self.constants.slope(self.constants.lifted(q)) / self.constants.slope(q)
         scale = np.ones(self.bench.size)
         scale[:len(self.free)] = ratio[self.free]
-        self.linear = [linear._replace(design=linear.design * scale) for linear in self.linear]
+        self.linear = [replace(linear, design=linear.design * scale) for linear in self.linear]
         return replace(self._joint(range(len(self.trials)))[0], mean=self.bench)
 
     def _lift(self, departure: Array) -> Array:
@@ -194,8 +207,7 @@ class _Fit:
         self.session_sd[at] = np.sqrt(prior * self._common_factor(at, prior))
         deviation, left = np.sqrt(self._session()), np.zeros(len(rows))
         for linear in self.linear:
-            design = linear.design * deviation
-            inner = np.linalg.inv(np.eye(deviation.size) + (design.T * linear.weight) @ design)
+            inner = np.linalg.inv(np.eye(deviation.size) + deviation[:, None] * linear.information * deviation)
             left += np.diag(inner)[rows] * (1.0 - 1.0 / count)
         # E step: squared departure from the sessions' mean, since a narrow prior may hold the bench away from it, and
         # the variance that the data leave of each; M step under the inverse-gamma prior
@@ -246,10 +258,9 @@ class _Fit:
         pull[:free] += self._middle()
         eliminated = []
         for own_x, linear in zip(at, trials, strict=True):
-            weighed = linear.design.T * linear.weight
             # each trial's own departure is eliminated (Schur complement), so that one system of the bench's size is
             # solved
-            information, downhill = weighed @ linear.design, weighed @ (linear.error - linear.design @ own_x)
+            information, downhill = linear.information, linear.pull - linear.information @ own_x
             inner = cho_factor((1.0 + damping) * np.eye(scale.size) + deviation[:, None] * information * deviation)
             side = deviation[:, None] * information * scale
             own, across = cho_solve(inner, deviation * downhill - (own_x - bench) / deviation), cho_solve(inner, side)
@@ -340,10 +351,8 @@ class _Fit:
         evidence = -0.5 * float(pull @ pull)
         for k in which:
             linear = self.linear[k]
-            root = np.sqrt(linear.weight)
-            design = linear.design * scale * root[:, None]
             # A(I + ΣA)⁻¹ in a symmetric form, with the root of Σ on both sides
-            square, error = design.T @ design, design.T @ (linear.error * root)
+            square, error = scale[:, None] * linear.information * scale, scale * linear.pull
             inner = cho_factor(np.eye(size) + deviation[:, None] * square * deviation)
             side, across = deviation[:, None] * square, cho_solve(inner, deviation * error)
             information += square - side.T @ cho_solve(inner, side)
