@@ -1,6 +1,8 @@
 """Course of a recorded trial under a forward model, and modulations of constants averaged over the bins of its data."""
 
-from collections.abc import Mapping
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,12 +25,15 @@ class ModulatedRecording(NamedTuple):
         """Return the course with the tension that a carrier feels: END's if it is a constant of END."""
         return self.course._replace(tension_n=self.end_n) if carrier.startswith("end_") else self.course
 
-    def bins(self, carrier: str, modulation: Modulation, parameters: Mapping[str, float]) -> list[Array]:
-        """Return the components of a modulation, low-passed and averaged over bins as the data, each of shape (bins,).
+    def bins(self, carrier: str, modulation: Modulation, grid: Sequence[Mapping[str, float]]) -> Array:
+        """Return the components of a modulation, low-passed and averaged over bins as the data.
+
+        `grid`: sets of its parameters.  Shape (bins, sets · components).
         """
+        course = self.of(carrier)
+        parts = np.array([part for parameters in grid for part in modulation.function(course, parameters)])
         low = butter(2, self.trial.lowpass_hz, fs=1.0 / GRID_S, output="sos")
-        return [self.trial.binned(np.asarray(sosfiltfilt(low, part)))
-                for part in modulation.function(self.of(carrier), parameters)]
+        return np.ascontiguousarray(self.trial.binned(np.asarray(sosfiltfilt(low, parts))).T)
 
 
 def modulated(model: ForwardModel, q: Array, trial: Recording) -> ModulatedRecording:

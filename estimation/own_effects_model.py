@@ -81,7 +81,7 @@ class OwnEffectsModel(PathModel):
             parameters = {key: float(values[k]) for key, values in shape.items()}
             key = tuple(parameters.values())
             if key not in known:
-                known[key] = np.tile(np.stack(course.bins(own.carrier, function, parameters)), len(trial.outputs))
+                known[key] = np.tile(course.bins(own.carrier, function, [parameters]).T, len(trial.outputs))
             out[k] = slopes[k] * (sizes[:, k] @ known[key])
         return out
 

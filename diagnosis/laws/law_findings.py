@@ -41,41 +41,43 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     def figures(before: Array, after: Array) -> dict[str, Figures]:
         return HeldOut(observed, reference.missed(observed), before, after, blocks).figures(reference)
 
-    least = _least(reference, observed, search.prior)
+    least = least_fall(reference, observed, search.prior)
     while len(chosen) < MOST_TERMS:
         offers = search.further(chosen, at)
         # the evidence is linear and of all cycles, so that held-out cycles decide between nearly equal candidates
         tried: list[tuple[bool, float, int, list[Candidate], PosteriorMode, Array]] = []
         for offer in [c for c in offers if c.nats >= CLOSE_CALL * offers[0].nats][:1 if chosen else TRIED]:
-            more = search.swapped([*chosen, offer]) if chosen else [offer]
-            there = search.fitted(more)
+            more = search.swapped([*chosen, offer], at) if chosen else [offer]
+            there = search.fitted(more, search.first if len(more) == 1 else at)
             then = search.predicted(more, there)
             errors = figures(residual, then)
             judged = {name: errors[name] for name in least}
-            fault = _worse(errors) or _fault(judged, least)
+            fault = worse(errors) or unconfirmed(judged, least)
             # where the model is wrong, any bump that fits its error takes a little of the departure
-            back = not chosen and not _worse(errors) and departure(observed, there) <= min(
+            back = not chosen and not worse(errors) and departure(observed, there) <= min(
                 DOUBTED, search.departed / DOUBTED) and search.departed > DOUBTED
             if not fault or back:
                 left = sum((f.rmse_after or 0.0)**2 / least[name] for name, f in judged.items())
                 tried.append((bool(fault), -there.log_evidence if fault else left, len(tried), more, there, then))
         if not tried:
             break
-        _, _, _, more, there, residual = min(tried)
+        _, _, _, more, there, _ = min(tried)
         runners = runners or [c for c in offers if c.shape != more[0].shape and c.nats > SET_SHARE * offers[0].nats]
-        chosen, at, fault = more, there, ""
+        # once more, with the columns linearised there
+        chosen, at, fault = more, search.fitted(more, there), ""
+        residual = search.predicted(chosen, at)
     return Laws(search.terms(chosen, at), [c.nats for c in chosen], figures(session, residual),
                 [(f"{c.carrier} × {c.modulation}", c.nats) for c in runners] if chosen else [], search.size, fault,
                 [_picture(search, chosen, at, k) for k in range(len(chosen))])
 
 
-def _worse(errors: dict[str, Figures]) -> str:
+def worse(errors: Mapping[str, Figures]) -> str:
     """Return a sentence on a signal whose error on held-out cycles grows by more than `WORSE` with a term, else ""."""
     return next((f"{name} is predicted worse on held-out cycles" for name, f in errors.items()
                  if (f.rmse_after or 0.0) > WORSE * (f.rmse_session or 0.0)), "")
 
 
-def _fault(judged: Mapping[str, Figures], least: Mapping[str, float]) -> str:
+def unconfirmed(judged: Mapping[str, Figures], least: Mapping[str, float]) -> str:
     """Return why a term does not gain, by errors on held-out cycles without it (`session`) and with it; "" if it does.
 
     `least`: fall of the squared error that a term must reach in one judged signal, N².
@@ -87,7 +89,7 @@ def _fault(judged: Mapping[str, Figures], least: Mapping[str, float]) -> str:
     return ""
 
 
-def _least(reference: ReferenceFit, observed: SessionData, prior: Gaussian) -> dict[str, float]:
+def least_fall(reference: ReferenceFit, observed: SessionData, prior: Gaussian) -> dict[str, float]:
     """Return the variance of model error and discrepancy in the trial's motion by judged signal, N².
 
     A discrepancy of the session repeats in each cycle, so that held-out cycles confirm a term that describes it.

@@ -1,26 +1,24 @@
 """Selection of terms by evidence: screen of the library, refinement, joint refit, swaps, held-out errors.
 
-    ln B = ½ gᵀ(σ⁻²I + G)⁻¹g − ½ ln det(I + σ²G),   g = XᵀC⁻¹e,  G = XᵀC⁻¹X.
-
-e: residual of the fit.  C: covariance of the data under it.  X: columns of a term.  σ: prior 1σ of its coefficients.
-
-    C⁻¹ = W − W A(I + AᵀWA)⁻¹AᵀW,   A = HL    (Woodbury's identity).
+Screens, refinements and folds are linear in constants and discrepancy (`linear_model`); fits with terms simulate.
 
 A term is a candidate of a library of N; its prior probability is 1/N, which costs ln N nats.
 """
 
+from __future__ import annotations
+
+import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, solve_triangular
-from scipy.optimize import minimize
 
 from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, departure
 from diagnosis.laws.library import VIBRATING, Candidates, candidates, carriers_of
+from diagnosis.laws.linear_model import FoldedModel, LinearModel
 from estimation.modulated_recording import ModulatedRecording, modulated
 from estimation.posterior import Gaussian, PosteriorMode, SessionData, begun, mode, screened
 from estimation.reference_fit import ReferenceFit
@@ -108,51 +106,44 @@ class LawSearch:
         _, slopes = self.observed.jacobian(q, rows)
         return {name: slopes[:, k] * in_units(table, q, name, self.carriers[name]) for k, name in enumerate(names)}
 
-    def shapes(self, carrier: str, name: str, parameters: Mapping[str, float]) -> Array:
-        """Return the components of a modulation of a carrier over all data, shape (data, components)."""
-        parts = []
-        for trial in self.modulated:
-            rows = np.stack(trial.bins(carrier, MODULATIONS[name], parameters), axis=1)
-            parts.append(np.tile(rows, (len(self.observed.outputs), 1)))
-        return np.concatenate(parts)
+    def shapes(self, carrier: str, name: str, grid: Sequence[Mapping[str, float]]) -> Array:
+        """Return the components of a modulation of a carrier over all data, shape (data, sets · components).
+
+        `grid`: sets of its parameters.
+        """
+        outputs = len(self.observed.outputs)
+        return np.concatenate([np.tile(trial.bins(carrier, MODULATIONS[name], grid), (outputs, 1))
+                               for trial in self.modulated])
 
     def columns(self, slopes: Mapping[str, Array], chosen: Sequence[Candidate]) -> tuple[Array, Array]:
         """Return the columns of terms, shape (data, components), and their prior 1σ, shape (components,)."""
-        parts = [slopes[c.carrier][:, None] * self.shapes(c.carrier, c.modulation, c.parameters)
-                 for c in chosen]
+        parts = [slopes[c.carrier][:, None] * self.shapes(c.carrier, c.modulation, [c.parameters]) for c in chosen]
         sds = [np.full(part.shape[1], self.carriers[c.carrier].sd) for c, part in zip(chosen, parts, strict=True)]
         empty = np.zeros((self.observed.data.size, 0))
         return np.concatenate([empty, *parts], axis=1), np.concatenate([np.zeros(0), *sds])
 
     # -- fits --------------------------------------------------------------------------------------------------------
 
-    def fitted(self, chosen: Sequence[Candidate], observed: SessionData | None = None, at: PosteriorMode | None = None,
-               passes: int = 2) -> PosteriorMode:
+    def fitted(self, chosen: Sequence[Candidate], at: PosteriorMode) -> PosteriorMode:
         """Return the joint mode of constants, discrepancy and the coefficients of terms, which are its last entries.
 
-        `at`: mode where the fit starts and its columns are linearised; each of the `passes` linearises them anew.
-        None: the likelier of the fits from `base` and from `first`.
+        `at`: mode where the fit starts and the terms' columns are linearised; its coefficients are of the first terms.
         """
-        observed = observed or self.observed
-        if at is None:
-            starts = [self.base] if self.first is self.base else [self.base, self.first]
-            return max((self.fitted(chosen, observed, start, passes) for start in starts),
-                       key=lambda m: m.log_evidence)
-        plain = self.base.x.size
-        for _ in range(passes if chosen else 1):
-            columns, sds = self.columns(self.sensitivities(at), chosen)
-            whole = replace(observed, features=np.concatenate([self.observed.features, columns], axis=1))
-            prior = _extended(self.prior, sds)
-            start = np.concatenate([at.x[:plain], np.zeros(sds.size)])
-            start[plain:][:at.x.size - plain] = at.x[plain:][:sds.size]
-            at = mode(whole, prior, self.variants, start)
-        return at
+        columns, sds = self.columns(self.sensitivities(at), chosen)
+        whole = replace(self.observed, features=np.concatenate([self.observed.features, columns], axis=1))
+        start = np.zeros(self.base.x.size + sds.size)
+        start[:at.x.size] = at.x
+        return mode(whole, _extended(self.prior, sds), self.variants, start)
+
+    def folded(self, at: PosteriorMode, chosen: Sequence[Candidate] = ()) -> FoldedModel:
+        """Return the data linearised at a mode with the terms `chosen`, whose columns are left out."""
+        fold = np.concatenate([np.tile(b % FOLDS, len(self.observed.outputs)) for b in self.blocks])
+        return FoldedModel(at, fold, _components(chosen))
 
     # -- screen and refinement -----------------------------------------------------------------------------------------
 
-    def screened(self, at: PosteriorMode) -> list[Candidate]:
-        """Return the candidates of the library by linear evidence at the mode `at`, the best first."""
-        metric, slopes = _Metric(at), self.sensitivities(at)
+    def screened(self, model: LinearModel, slopes: Mapping[str, Array]) -> list[Candidate]:
+        """Return the candidates of the library by linear evidence, the best first; `slopes`: `sensitivities`."""
         rated: list[Candidate] = []
         for name, grid in self.library.grids.items():
             count = MODULATIONS[name].components
@@ -163,36 +154,41 @@ class LawSearch:
                         continue
                     end = carrier.startswith("end_") and MODULATIONS[name].depends == "tension_n"
                     if end not in shapes:
-                        shapes[end] = np.concatenate([self.shapes(carrier, name, p) for p in part], axis=1)
-                    nats = metric.evidence(slope[:, None] * shapes[end], self.carriers[carrier].sd, count)
+                        shapes[end] = self.shapes(carrier, name, part)
+                    nats = model.evidence(slope[:, None] * shapes[end], self.carriers[carrier].sd, count)
                     rated += [Candidate(float(n), carrier, name, p) for n, p in zip(nats, part, strict=True)]
         return sorted(rated, key=lambda c: -c.nats)
 
-    def refined(self, candidate: Candidate, at: PosteriorMode, slopes: Mapping[str, Array]) -> Candidate:
-        """Return a candidate with the nonlinear parameters of the largest evidence near its own (Nelder and Mead 1965).
+    def refined(self, candidate: Candidate, model: LinearModel, slopes: Mapping[str, Array], close: float = 0.02,
+                most: int = 15, tie: float = 0.05) -> Candidate:
+        """Return a candidate with the nonlinear parameters of the largest evidence near its own.
+
+        A pattern of points about the best one moves, and contracts where none at its edge is better (Hooke and Jeeves
+        1961), to the share `close` of its first size, in at most `most` rounds.  `tie`: difference, nats, that is none.
         """
-        names = list(candidate.parameters)
-        if not names:
-            return candidate
-        metric, count = _Metric(at), MODULATIONS[candidate.modulation].components
-        first = np.array([candidate.parameters[name] for name in names])
-        scale = np.array([self._scale(candidate, name) for name in names])
-
-        def cost(move: Array) -> float:
-            parameters = dict(zip(names, (first + move * scale).tolist(), strict=True))
-            if any(value <= 0.0 and name not in ("at_m", "at_rad", "phase") for name, value in parameters.items()):
-                return 1e9
-            columns = slopes[candidate.carrier][:, None] * self.shapes(
-                candidate.carrier, candidate.modulation, parameters)
-            return -float(metric.evidence(columns, self.carriers[candidate.carrier].sd, count)[0])
-
-        simplex = np.concatenate([np.zeros((1, scale.size)), np.eye(scale.size)])
-        best = minimize(cost, np.zeros(scale.size), method="Nelder-Mead",
-                        options={"initial_simplex": simplex, "maxfev": 30 * scale.size, "xatol": 0.02, "fatol": 0.05})
-        if -best.fun <= candidate.nats:
-            return candidate
-        moved = dict(zip(names, (first + best.x * scale).tolist(), strict=True))
-        return candidate._replace(nats=-float(best.fun), parameters=moved)
+        names, share, count = list(candidate.parameters), 1.0, MODULATIONS[candidate.modulation].components
+        carrier, name = candidate.carrier, candidate.modulation
+        scale = np.array([self._scale(candidate, one) for one in names])
+        # the nearest point wins a tie: where no data are, the time of a step does not matter
+        points = itertools.product((0.0, -0.5, 0.5, -1.0, 1.0), repeat=len(names))
+        pattern = np.array(sorted(points, key=np.linalg.norm))
+        signed = np.array([one in ("at_m", "at_rad", "phase") for one in names], np.bool_)
+        best = candidate._replace(nats=-math.inf)
+        for _ in range(most):
+            middle = np.array([best.parameters[one] for one in names])
+            near = middle + share * scale * pattern
+            near = near[((near > 0.0) | signed).all(axis=1)]
+            grid = [dict(zip(names, point, strict=True)) for point in near.tolist()]
+            nats = model.evidence(slopes[carrier][:, None] * self.shapes(carrier, name, grid),
+                                  self.carriers[carrier].sd, count)
+            top = int(np.argmax(nats > nats.max() - tie))
+            better = bool(nats[top] > best.nats + tie)
+            far = better and (np.abs(near[top] - middle) > 0.7 * share * scale).any()
+            best = candidate._replace(nats=float(nats[top]), parameters=grid[top]) if better else best
+            share *= 1.0 if far else 0.4
+            if not names or share <= close:
+                break
+        return best
 
     def _scale(self, candidate: Candidate, name: str) -> float:
         """Return the distance of the library's grid in a parameter, about which a refinement begins."""
@@ -200,69 +196,77 @@ class LawSearch:
         steps = np.diff(values)
         return 0.5 * float(steps.min()) if steps.size else 0.3 * candidate.parameters[name]
 
-    def best_of(self, at: PosteriorMode, exclude: Sequence[Candidate] = ()) -> list[Candidate]:
-        """Return the foremost candidates at a mode, refined, the best first; `exclude`: terms already chosen."""
-        slopes, rated = self.sensitivities(at), list[Candidate]()
-        for candidate in self.screened(at):
-            if candidate.shape not in {c.shape for c in rated} and candidate.shape not in {c.shape for c in exclude}:
+    def best_of(self, model: LinearModel, slopes: Mapping[str, Array], exclude: Sequence[Candidate] = ()
+                ) -> list[Candidate]:
+        """Return the foremost candidates, refined, the best first; `exclude`: terms already chosen."""
+        rated = list[Candidate]()
+        for candidate in self.screened(model, slopes):
+            if candidate.shape not in {c.shape for c in (*rated, *exclude)}:
                 rated.append(candidate)
             if len(rated) == REFINED:
                 break
-        return sorted((self.refined(c, at, slopes) for c in rated), key=lambda c: -c.nats)
+        return sorted((self.refined(c, model, slopes) for c in rated), key=lambda c: -c.nats)
 
     # -- selection -----------------------------------------------------------------------------------------------------
 
     def further(self, chosen: Sequence[Candidate], at: PosteriorMode) -> list[Candidate]:
         """Return the candidates for one more term whose evidence exceeds `NAMED_NATS` and the cost of the library."""
-        return [c for c in self.best_of(at, chosen) if c.nats >= NAMED_NATS + math.log(self.size)]
+        slopes = self.sensitivities(at)
+        offers = self.best_of(self._beside(at, chosen, chosen, slopes), slopes, chosen)
+        return [c for c in offers if c.nats >= NAMED_NATS + math.log(self.size)]
 
-    def swapped(self, chosen: list[Candidate], least: float = 2.0) -> list[Candidate]:
+    def swapped(self, chosen: list[Candidate], at: PosteriorMode, least: float = 2.0) -> list[Candidate]:
         """Return the terms after replacing the first one if a candidate beside the others exceeds it by `least` nats.
+
+        `at`: mode with all terms but the last.
         """
-        others = chosen[1:]
-        beside = self.fitted(others, passes=1)
-        own = self.refined(chosen[0]._replace(nats=-math.inf), beside, self.sensitivities(beside))
-        offers = self.best_of(beside, others)
+        others, slopes = chosen[1:], self.sensitivities(at)
+        beside = self._beside(at, chosen[:-1], others, slopes)
+        own, offers = self.refined(chosen[0], beside, slopes), self.best_of(beside, slopes, others)
         if not offers or offers[0].shape == own.shape or offers[0].nats < own.nats + least:
             return chosen
         return [*others, offers[0]]
+
+    def _beside(self, at: PosteriorMode, fitted: Sequence[Candidate], others: Sequence[Candidate],
+                slopes: Mapping[str, Array]) -> LinearModel:
+        """Return the linear model of all data at the mode `at`, which has the terms `fitted`, with the terms `others`.
+        """
+        columns, sds = self.columns(slopes, others)
+        return self.folded(at, fitted).model(columns * sds)
 
     # -- held-out errors -----------------------------------------------------------------------------------------------
 
     def held_out(self) -> Array:
         """Return the residual of the data on held-out cycles with the session adapted and no term, shape (data,)."""
-        return self.by_fold(lambda seen: mode(seen, self.prior, self.variants, self.base.x))
+        return self.predicted([], self.base)
 
     def predicted(self, chosen: Sequence[Candidate], at: PosteriorMode) -> Array:
         """Return the residual of the data on held-out cycles with terms, shape (data,).
 
-        `at`: the mode with them.  The nonlinear parameters are refined for each fold without its data.
+        `at`: the mode with them.  The nonlinear parameters are refined for each fold without its data; constants,
+        discrepancy and coefficients are fitted to the model linearised at the mode.
         """
-        return self.by_fold(lambda seen: self.fitted(self._refined_for(chosen, at, seen), seen, at, passes=1))
-
-    def by_fold(self, fit: Callable[[SessionData], PosteriorMode]) -> Array:
-        """Return the residual of the data, shape (data,), where each fold is predicted by a `fit` to the others."""
-        fold = np.concatenate([np.tile(b % FOLDS, len(self.observed.outputs)) for b in self.blocks])
+        folded, slopes = self.folded(at, chosen), self.sensitivities(at) if chosen else {}
         residual = np.zeros(self.observed.data.size)
-        for number in np.unique(fold):
-            out = fold == number
-            at = fit(replace(self.observed, weight=np.where(out, 1e-9, self.observed.weight)))
-            whole = self.observed.data - self.observed.predicted(at.q) - at.features @ at.x[at.constants:]
-            residual[out] = whole[out]
+        for number in folded.squares:
+            columns, sds = self.columns(slopes, self._refined_for(chosen, folded, number, slopes))
+            out = folded.fold == number
+            residual[out] = folded.model(columns * sds, number).residual[out]
         return residual
 
-    def _refined_for(self, chosen: Sequence[Candidate], at: PosteriorMode, seen: SessionData) -> list[Candidate]:
-        """Return the terms with parameters refined on the data of `seen`, one after the other."""
-        slopes, done = self.sensitivities(at), list(chosen)
+    def _refined_for(self, chosen: Sequence[Candidate], folded: FoldedModel, number: int, slopes: Mapping[str, Array]
+                     ) -> list[Candidate]:
+        """Return the terms with parameters refined on the data outside a fold, one after the other."""
+        done = list(chosen)
         for k, candidate in enumerate(done):
             if candidate.parameters:
-                beside = self.fitted(done[:k] + done[k + 1:], seen, self.base, passes=1)
-                done[k] = self.refined(candidate._replace(nats=-math.inf), beside, slopes)
+                columns, sds = self.columns(slopes, done[:k] + done[k + 1:])
+                done[k] = self.refined(candidate, folded.model(columns * sds, number), slopes)
         return done
 
     def terms(self, chosen: Sequence[Candidate], at: PosteriorMode) -> list[Term]:
         """Return the chosen terms with the coefficients and 95 % intervals of the mode `at`."""
-        place = at.x.size - sum(MODULATIONS[c.modulation].components for c in chosen)
+        place = at.x.size - _components(chosen)
         made = []
         for c in chosen:
             coefficients, intervals = [], []
@@ -288,31 +292,12 @@ def _extended(prior: Gaussian, sds: Array) -> Gaussian:
     return replace(prior, mean=np.concatenate([prior.mean, np.zeros(sds.size)]), covariance=covariance)
 
 
+def _components(chosen: Sequence[Candidate]) -> int:
+    """Return the number of coefficients of terms."""
+    return sum(MODULATIONS[c.modulation].components for c in chosen)
+
+
 def _chunks(grid: Sequence[dict[str, float]], size: int = 128) -> Iterator[Sequence[dict[str, float]]]:
     """Yield a grid in parts, which bound the memory of a screen."""
     for first in range(0, len(grid), size):
         yield grid[first:first + size]
-
-
-class _Metric:
-    """C⁻¹ of the data under the model at a mode, and C⁻¹e of its residual."""
-
-    def __init__(self, at: PosteriorMode) -> None:
-        self.weight, inward = at.weight, at.inward
-        lower = np.tril(at.inner[0]) if at.inner[1] else np.triu(at.inner[0]).T
-        self.across = solve_triangular(lower, (inward * self.weight[:, None]).T, lower=True)
-        off = at.x - at.prior_mean
-        error = at.residual + at.slopes @ off[:at.constants] + at.features @ off[at.constants:]
-        light = self.weight * error
-        self.applied = light - self.weight * (inward @ cho_solve(at.inner, inward.T @ light))
-
-    def evidence(self, columns: Array, sd: float, count: int) -> Array:
-        """Return the linear evidence, nats, of each group of `count` columns with the prior 1σ `sd`."""
-        pull = (columns.T @ self.applied).reshape(-1, count)
-        through = self.across @ columns
-        groups, inner = columns.reshape(columns.shape[0], -1, count), through.reshape(through.shape[0], -1, count)
-        square = np.einsum("nka,n,nkb->kab", groups, self.weight, groups, optimize=True)
-        square -= np.einsum("nka,nkb->kab", inner, inner, optimize=True)
-        whole = np.eye(count) / sd**2 + square
-        size = np.linalg.solve(whole, pull[:, :, None])[:, :, 0]
-        return np.asarray(0.5 * (pull * size).sum(axis=1) - 0.5 * np.linalg.slogdet(sd**2 * whole)[1])
