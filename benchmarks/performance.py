@@ -51,6 +51,7 @@ from master.settings import Gait
 from physics.plant.bench_plant import create
 from physics.plant.components import KNEE_AT_FIT
 from physics.reference import paper_reference
+from tests.bowden.test_law_seam import saturating
 from tests.hidden import cases
 from tests.physics.test_physics_plant_accuracy import KNEE_NM, SECONDS, SERVO_NM, Equations
 from trial.mcap_file import cdr
@@ -208,6 +209,21 @@ def _diagnosed(job: cases.Job, cycles: int) -> tuple[float, float]:
     finder.diagnose(trial)
     beside = time.process_time() - began
     return whole - beside, beside
+
+
+def discovery() -> Iterator[Row]:
+    """Measure a law search in ten gait cycles of docs/laws.md's example beside two reference trials."""
+    with tempfile.TemporaryDirectory() as folder:
+        walks = [f"{folder}/{name}.mcap" for name in ("good1", "good2", "trial")]
+        model = saturating(Path(folder), "end_gain", -0.2)
+        for path, options in zip(walks, ("--seed 1", "--seed 2 --peak 50", f"--seed 3 --plant-model {folder}/{model}"),
+                                 strict=True):
+            used(f"trial --serial 3 --cycles 10 --period 1.3 {options} -o {path}")
+        whole_s = used(f"discover {walks[2]} --healthy {walks[0]} --healthy {walks[1]} --json")[0]
+        began = time.process_time()
+        Finder().fit(walks[:2])
+        yield ("`bowden discover`, ten gait cycles, s of CPU", f"{whole_s:.1f}",
+               "of which the fit of its two reference trials", f"{time.process_time() - began:.1f}", "–")
 
 
 FRAMES = 8
@@ -479,7 +495,8 @@ def memory() -> Iterator[Row]:
 
 ROWS: dict[str, Callable[[], Iterator[Row]]] = {
     "cycle": whole_cycle, "nodes": by_nodes, "pdo": pdos, "load": wire_load, "record": record, "read": read,
-    "size": size, "plant": plant, "diagnosis": diagnosis, "start": start, "memory": memory,
+    "size": size, "plant": plant, "diagnosis": diagnosis, "discovery": discovery,
+    "start": start, "memory": memory,
 }
 
 

@@ -164,7 +164,8 @@ class LawSearch:
         """Return a candidate with the nonlinear parameters of the largest evidence near its own.
 
         A pattern of points about the best one moves, and contracts where none at its edge is better (Hooke and Jeeves
-        1961), to the share `close` of its first size, in at most `most` rounds.  `tie`: difference, nats, that is none.
+        1961).  `close`: share of its first size at which it ends; `most`: rounds.  `tie`: difference, nats, below which
+        the nearer point is better.
         """
         names, share, count = list(candidate.parameters), 1.0, MODULATIONS[candidate.modulation].components
         carrier, name = candidate.carrier, candidate.modulation

@@ -2,12 +2,11 @@
 
     e = A·u + ε,   u ~ N(0, I),   ε ~ N(0, W⁻¹)
 
-e: error of the data about the prior's mean.  A = HL: constants, discrepancy, terms, scaled by the root of their prior.
-
     C⁻¹ = W − W A(I + AᵀWA)⁻¹AᵀW                              Woodbury's identity
     û = (I + AᵀWA)⁻¹AᵀWe,   C⁻¹e = W(e − A·û)
     ln B = ½ gᵀ(σ⁻²I + G)⁻¹g − ½ ln det(I + σ²G),   g = XᵀC⁻¹e,  G = XᵀC⁻¹X
 
+e: error of the data about the prior's mean.  A = HL: constants, discrepancy, terms, scaled by the root of their prior.
 X: columns of a further term.  σ: prior 1σ of its coefficients.
 """
 

@@ -4,7 +4,8 @@
                                     [--structures truth1,truth2] [--rows FILE] [--page]
 
 `--left-out`: effects of the catalogue, which a law search does not use, of `ENLARGED` times their usual size; only
-effects that free a constant beyond those of the session count, since the session's constants adapt any other one.
+effects that free a constant beyond those of the session are asked, since its constants adapt any other one, and only
+those count whose own hypothesis passes the test of a term.
 `--outside`: changes that the catalogue never had.  One row of the CSV FILE for each case; a run that was broken off
 goes on from there.  `--page` writes the figures of FILE into docs/laws.md.
 """
@@ -104,9 +105,11 @@ FORMS: Final[Mapping[str, tuple[str, ...]]] = {
 """Modulations of the library that have the form of each change."""
 ENLARGED: Final = 2.0
 """Factor on the response of an effect that is left out; its own held-out gain is then seldom within model error."""
-HEAD: Final = ("kind", "structure", "hidden", "seed", "separation", "session", "law", "own", "determined", "worst", "right",
-               "terms", "rejected", "seconds")
-"""Columns of the table; errors are RMS over the judged signals in units of each signal's sensor noise."""
+HEAD: Final = ("kind", "structure", "hidden", "seed", "separation", "session", "law", "own", "determined", "worst",
+               "right", "terms", "rejected", "seconds")
+"""Columns of the table; errors are RMS over the judged signals in units of each signal's sensor noise.
+
+`determined`: 1 if the effect's own hypothesis passes the test of a term on held-out cycles."""
 
 
 def right_parts(effect: str) -> set[str]:
@@ -166,9 +169,9 @@ def row(kind: str, asked: Question) -> dict[str, Any]:
              any(m in FORMS.get(name, ()) for _, m in shapes)) if laws.terms else False
     worst = max((f.rmse_after or 0.0) / (f.rmse_session or 1.0) for f in laws.errors.values())
     return dict(zip(HEAD, (kind, asked.structure, name, asked.seed, f"{separation:.0f}",
-                           f"{weighed(laws.errors, 'session'):.4g}", f"{weighed(laws.errors, 'after'):.4g}", own, determined,
-                           f"{worst:.4g}", int(right), " + ".join(f"{c} × {m}" for c, m in shapes), laws.rejected,
-                           f"{seconds:.1f}"), strict=True))
+                           f"{weighed(laws.errors, 'session'):.4g}", f"{weighed(laws.errors, 'after'):.4g}", own,
+                           determined, f"{worst:.4g}", int(right), " + ".join(f"{c} × {m}" for c, m in shapes),
+                           laws.rejected, f"{seconds:.1f}"), strict=True))
 
 
 def _noise(given: Table, name: str) -> float:
@@ -184,9 +187,9 @@ def _own(search: LawSearch, tables: Sequence[Table], effect: str) -> Mapping[str
     """Return the held-out errors with the effect's own hypothesis, its likeliest variant, on the folds of a law."""
     base, observed = search.base, search.observed
     bench = observed.model.constants.named(search.prior.origin)
-    fitted = [(mode(observed, search.prior, [v], begun(base, v, screened(base, observed, v)[1])), v)
+    fitted = [mode(observed, search.prior, [v], begun(base, v, screened(base, observed, v)[1]))
               for v in HYPOTHESES[effect].variants(bench)]
-    at, variant = max(fitted, key=lambda pair: pair[0].log_evidence)
+    at = max(fitted, key=lambda m: m.log_evidence)
     return HeldOut(observed, search.reference.missed(observed), search.held_out(), search.predicted([], at),
                    blocks_of(tables, observed.trials)).figures(search.reference)
 
@@ -230,7 +233,8 @@ def page(rows: Sequence[Mapping[str, Any]], command: str) -> str:
     cases = [(kinds[r["kind"]], r["structure"], truths.EFFECTS.get(r["hidden"], r["hidden"]).replace("_", " "),
               r["session"], r["law"], r["own"] or "–", r["terms"].replace("_", " ") or "–",
               ("yes" if r["right"] == "1" else "no") if r["terms"] and r["kind"] != "healthy" else "–")
-             for r in sorted(rows, key=lambda r: (r["kind"], r["structure"], r["hidden"]))]
+             for r in sorted(rows, key=lambda r: (r["kind"], r["structure"], r["hidden"]))
+             if r["terms"] or r["kind"] != "healthy"]
     return "\n\n".join((f"`{command}`:", markdown(["asked", "held"], summary(rows)), markdown(
         ["kind", "rig", "hidden", "error, session", "with the law", "with the effect or without the change", "terms",
          "right"], cases)))
