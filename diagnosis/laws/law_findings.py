@@ -35,8 +35,8 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     """
     blocks = blocks_of(tables, observed.trials)
     search = LawSearch(observed, reference.prior_of(observed), reference, blocks, variants)
-    chosen, at, session, fault = list[Candidate](), search.first, search.held_out(), ""
-    residual, runners = session, list[Candidate]()
+    chosen, at, fault = list[Candidate](), search.first, ""
+    base, runners = search.base, list[Candidate]()
 
     def figures(before: Array, after: Array) -> dict[str, Figures]:
         return HeldOut(observed, reference.missed(observed), before, after, blocks).figures(reference)
@@ -45,12 +45,13 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     while len(chosen) < MOST_TERMS:
         offers = search.further(chosen, at)
         # the evidence is linear and of all cycles, so that held-out cycles decide between nearly equal candidates
-        tried: list[tuple[bool, float, int, list[Candidate], PosteriorMode, Array]] = []
+        tried: list[tuple[bool, float, int, list[Candidate], PosteriorMode]] = []
         for offer in [c for c in offers if c.nats >= CLOSE_CALL * offers[0].nats][:1 if chosen else TRIED]:
             more = search.swapped([*chosen, offer], at) if chosen else [offer]
             there = search.fitted(more, search.first if len(more) == 1 else at)
-            then = search.predicted(more, there)
-            errors = figures(residual, then)
+            errors = figures(*(search.predicted(*fit) for fit in ((chosen, base), (more, there))))
+            if worse(errors):
+                errors = figures(*(search.predicted(*fit, True) for fit in ((chosen, base), (more, there))))
             judged = {name: errors[name] for name in least}
             fault = worse(errors) or unconfirmed(judged, least)
             # where the model is wrong, any bump that fits its error takes a little of the departure
@@ -58,15 +59,17 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
                 DOUBTED, search.departed / DOUBTED) and search.departed > DOUBTED
             if not fault or back:
                 left = sum((f.rmse_after or 0.0)**2 / least[name] for name, f in judged.items())
-                tried.append((bool(fault), -there.log_evidence if fault else left, len(tried), more, there, then))
+                tried.append((bool(fault), -there.log_evidence if fault else left, len(tried), more, there))
         if not tried:
             break
-        _, _, _, more, there, _ = min(tried)
+        more, there = min(tried)[3:]
         runners = runners or [c for c in offers if c.shape != more[0].shape and c.nats > SET_SHARE * offers[0].nats]
         # once more, with the columns linearised there
-        chosen, at, fault = more, search.fitted(more, there), ""
-        residual = search.predicted(chosen, at)
-    return Laws(search.terms(chosen, at), [c.nats for c in chosen], figures(session, residual),
+        chosen, fault = more, ""
+        base = at = search.fitted(more, there)
+    session = search.predicted([], search.base, bool(chosen))
+    return Laws(search.terms(chosen, at), [c.nats for c in chosen], figures(
+        session, search.predicted(chosen, at, True) if chosen else session),
                 [(f"{c.carrier} × {c.modulation}", c.nats) for c in runners] if chosen else [], search.size, fault,
                 [_picture(search, chosen, at, k) for k in range(len(chosen))])
 

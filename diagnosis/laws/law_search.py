@@ -237,22 +237,25 @@ class LawSearch:
 
     # -- held-out errors -----------------------------------------------------------------------------------------------
 
-    def held_out(self) -> Array:
-        """Return the residual of the data on held-out cycles with the session adapted and no term, shape (data,)."""
-        return self.predicted([], self.base)
-
-    def predicted(self, chosen: Sequence[Candidate], at: PosteriorMode) -> Array:
+    def predicted(self, chosen: Sequence[Candidate], at: PosteriorMode, simulates: bool = False) -> Array:
         """Return the residual of the data on held-out cycles with terms, shape (data,).
 
-        `at`: the mode with them.  The nonlinear parameters are refined for each fold without its data; constants,
-        discrepancy and coefficients are fitted to the model linearised at the mode.
+        `at`: the mode with them.  The nonlinear parameters are refined for each fold without its data.  Constants,
+        discrepancy and coefficients are then fitted to the model linearised at the mode, or to the model itself if it
+        `simulates`: where the session is far from the reference condition, linear folds are off by some per cent.
         """
         folded, slopes = self.folded(at, chosen), self.sensitivities(at) if chosen else {}
         residual = np.zeros(self.observed.data.size)
         for number in folded.squares:
             columns, sds = self.columns(slopes, self._refined_for(chosen, folded, number, slopes))
             out = folded.fold == number
-            residual[out] = folded.model(columns * sds, number).residual[out]
+            if simulates:
+                seen = replace(self.observed, features=np.concatenate([self.observed.features, columns], axis=1),
+                               weight=np.where(out, 1e-9, self.observed.weight))
+                whole = mode(seen, _extended(self.prior, sds), self.variants, at.x).residual
+            else:
+                whole = folded.model(columns * sds, number).residual
+            residual[out] = whole[out]
         return residual
 
     def _refined_for(self, chosen: Sequence[Candidate], folded: FoldedModel, number: int, slopes: Mapping[str, Array]

@@ -1,10 +1,10 @@
 """Data linearised at a mode: evidence of further columns, and the posterior on the cycles outside each fold.
 
-    e = A·u + ε,   u ~ N(0, I),   ε ~ N(0, W⁻¹)
+    e = A·u + ε,   u ~ N(0, I),   ε ~ N(0, W⁻¹).
 
-    C⁻¹ = W − W A(I + AᵀWA)⁻¹AᵀW                              Woodbury's identity
+    C⁻¹ = W − W A(I + AᵀWA)⁻¹AᵀW                              (Woodbury's identity).
     û = (I + AᵀWA)⁻¹AᵀWe,   C⁻¹e = W(e − A·û)
-    ln B = ½ gᵀ(σ⁻²I + G)⁻¹g − ½ ln det(I + σ²G),   g = XᵀC⁻¹e,  G = XᵀC⁻¹X
+    ln B = ½ gᵀ(σ⁻²I + G)⁻¹g − ½ ln det(I + σ²G),   g = XᵀC⁻¹e,  G = XᵀC⁻¹X.
 
 e: error of the data about the prior's mean.  A = HL: constants, discrepancy, terms, scaled by the root of their prior.
 X: columns of a further term.  σ: prior 1σ of its coefficients.

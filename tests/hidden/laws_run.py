@@ -190,7 +190,8 @@ def _own(search: LawSearch, tables: Sequence[Table], effect: str) -> Mapping[str
     fitted = [mode(observed, search.prior, [v], begun(base, v, screened(base, observed, v)[1]))
               for v in HYPOTHESES[effect].variants(bench)]
     at = max(fitted, key=lambda m: m.log_evidence)
-    return HeldOut(observed, search.reference.missed(observed), search.held_out(), search.predicted([], at),
+    session, after = (search.predicted([], fit) for fit in (search.base, at))
+    return HeldOut(observed, search.reference.missed(observed), session, after,
                    blocks_of(tables, observed.trials)).figures(search.reference)
 
 
@@ -199,7 +200,8 @@ def discover_none(finder: EvidenceFinder, given: Table) -> Mapping[str, Figures]
     reference, observed, tables = finder.observed([given])
     blocks = blocks_of(tables, observed.trials)
     search = LawSearch(observed, reference.prior_of(observed), reference, blocks)
-    return HeldOut(observed, reference.missed(observed), search.held_out(), None, blocks).figures(reference)
+    session = search.predicted([], search.base)
+    return HeldOut(observed, reference.missed(observed), session, None, blocks).figures(reference)
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
