@@ -48,7 +48,7 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
         tried: list[tuple[bool, float, int, list[Candidate], PosteriorMode]] = []
         for offer in [c for c in offers if c.nats >= CLOSE_CALL * offers[0].nats][:1 if chosen else TRIED]:
             more = search.swapped([*chosen, offer], at) if chosen else [offer]
-            there = search.fitted(more, search.first if len(more) == 1 else at)
+            there = search.fitted(more, at if chosen else None)
             errors = figures(*(search.predicted(*fit) for fit in ((chosen, base), (more, there))))
             if worse(errors):
                 errors = figures(*(search.predicted(*fit, True) for fit in ((chosen, base), (more, there))))

@@ -124,11 +124,15 @@ class LawSearch:
 
     # -- fits --------------------------------------------------------------------------------------------------------
 
-    def fitted(self, chosen: Sequence[Candidate], at: PosteriorMode) -> PosteriorMode:
+    def fitted(self, chosen: Sequence[Candidate], at: PosteriorMode | None = None) -> PosteriorMode:
         """Return the joint mode of constants, discrepancy and the coefficients of terms, which are its last entries.
 
         `at`: mode where the fit starts and the terms' columns are linearised; its coefficients are of the first terms.
+        None: the likelier of the fits from `base` and from `first`.
         """
+        if at is None:
+            starts = [self.base] if self.first is self.base else [self.base, self.first]
+            return max((self.fitted(chosen, start) for start in starts), key=lambda m: m.log_evidence)
         columns, sds = self.columns(self.sensitivities(at), chosen)
         whole = replace(self.observed, features=np.concatenate([self.observed.features, columns], axis=1))
         start = np.zeros(self.base.x.size + sds.size)
