@@ -169,7 +169,7 @@ def test_a_diagnosis_seeks_terms_where_effects_do_not_explain_the_trial(recorded
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(("change", "carriers", "modulation", "parameter", "value"), [
     (stepped, {"end_gain"}, "step", "at_s", None), (vibrating, {"end_offset"}, "time_sine", "hz", 11.3),
-    # while the rope moves one way, friction without load changes END as its offset does (0.1 of 1,507 nats between them)
+    # while the rope moves one way, friction without load changes END as its offset does: 0.1 of 1,507 nats between them
     (pulsing, {"end_offset", "end_gain", "dry"}, "phase_bump", "phase", 0.62),
     (saturated, {"end_offset", "end_gain"}, "saturation", "from_n", None),
 ])
