@@ -40,7 +40,7 @@ TABLE: Final = (
     _C("creep_time", "s", 5.0, "log", 0.7, 0.05, "creep time constant τ"),
     _C("cable", "", 0.15, "log", 0.6, 0.04, "(3): exponent μ1·θ1; session 3 % and how the laws differ"),
     _C("bend", "1/rad", 0.0, "linear", 0.1, 0.03, "relative change of the cable's exponent with knee angle"),
-    _C("load", "", 0.0, "linear", 0.15, 0.02, "relative change of friction for 40 N of tension"),
+    _C("load", "", 0.0, "linear", 0.15, 0.05, "relative change of friction for 40 N; session: scatter"),
     _C("friction_drift", "", 0.0, "linear", 0.0, 0.0, "relative change of friction over the trial", step=0.02),
     _C("viscous", "N·s/m", 8.0, "positive", 8.0, 0.7, "viscous friction of rope in sheath", 1.0),
     _C("drag", "N·s/m", 0.0, "linear", 0.0, 0.0, "viscous friction of the taut rope at any load", step=0.3),
