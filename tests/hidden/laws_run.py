@@ -158,7 +158,7 @@ def row(kind: str, asked: Question) -> dict[str, Any]:
             search = LawSearch(observed, reference.prior_of(observed), reference, blocks_of(tables, observed.trials))
             errors, least = _own(search, tables, asked.effects[0]), least_fall(reference, observed, search.prior)
             own = f"{weighed(errors, 'after'):.4g}"
-            determined = int(not unconfirmed({n: errors[n] for n in least}, least))
+            determined = str(int(not unconfirmed({n: errors[n] for n in least}, least)))
         elif name not in ADDED and made.clean.any():
             exact = {**columns, **{n: columns[n] - clean for n, clean in zip((START, END), made.clean, strict=True)}}
             own = f"{weighed(discover_none(finder, table('trial', exact)), 'session'):.4g}"
