@@ -51,7 +51,8 @@ def test_a_law_that_was_promoted_is_named_by_a_diagnosis(bowden: Run, here: Path
 @pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore:.*says nothing of")  # a remark: the reference trials do not show every constant
 def test_a_law_gains_in_the_loop(bowden: Run, here: Path) -> None:
-    trials = recorded(bowden, saturating(here, "start_gain", -0.06))
+    # with half of it, 3 % at the peak, the friction's load slope of a session explains START
+    trials = recorded(bowden, saturating(here, "start_gain", -0.12))
     told = bowden("discover", *trials, "-o", "extended.toml", "--json")
     assert json.loads(told.stdout)["terms"], told.stdout
     told = bowden("verify", "extended.toml", *GAIT, "--plant-model", "bench.toml", "--json", "-o", "verify.mcap")
