@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
-from bowden.live.state import LiveState
+from bowden.live.state import Force, LiveState
 from bowden.live.web import LivePage
 from parameters import InputError
 from trial.mcap_file.cdr import FRAME_STRUCT
@@ -57,6 +57,7 @@ class PageProcess:
         self.stop_asked = False
         self._stop, self._sent_ns, self._gone = stop, 0, False
         self._frames, self._waiting = bytearray(), bytearray()
+        self._forces: list[Force] = []
         self._to_page, their_page = socket.socketpair()
         self._answers, their_answers = socket.socketpair()
         self._process = multiprocessing.get_context("spawn").Process(
@@ -92,7 +93,7 @@ class PageProcess:
 
     def force(self, time_ns: int, *forces_n: float) -> None:
         """Add desired, START and END force, N, of each force path in one control cycle; NaN where unknown."""
-        self._put("force", time_ns, *forces_n)
+        self._forces.append((time_ns, forces_n))
         self._send_due(time_ns)
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
@@ -138,10 +139,14 @@ class PageProcess:
             self._waiting += BLOCK.pack(len(block)) + block
 
     def _send(self, *call: Any) -> None:
-        """Queue the frames so far, then a call; send as many queued bytes as the pipe accepts now."""
+        """Queue frames and forces so far, then a call; send as many queued bytes as the pipe accepts now."""
+        # pickled here, not in each control cycle
         if self._frames:
             self._put("frames", bytes(self._frames))
             self._frames.clear()
+        if self._forces:
+            self._put("forces", self._forces)
+            self._forces.clear()
         if call:
             self._put(*call)
         try:
@@ -152,8 +157,8 @@ class PageProcess:
             self._gone = True
 
 
-def serve(told: socket.socket, answers: socket.socket, setup: PageSetup, where: str) -> None:
-    """Serve the page of a trial until `told` ends; runs in the page's own process."""
+def serve(calls: socket.socket, answers: socket.socket, setup: PageSetup, where: str) -> None:
+    """Serve the page of a trial until the socket `calls` ends; runs in the page's own process."""
     for name in ("SIGINT", "SIGHUP", "SIGQUIT"):  # the trial stops on them, and ends the page afterwards
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -167,7 +172,7 @@ def serve(told: socket.socket, answers: socket.socket, setup: PageSetup, where: 
         return
     answers.sendall(json.dumps({"url": page.url}).encode() + b"\n")
     with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):  # its end may cut the last block
-        stream = told.makefile("rb")
+        stream = calls.makefile("rb")
         while len(head := stream.read(BLOCK.size)) == BLOCK.size:
             method, arguments = pickle.loads(stream.read(*BLOCK.unpack(head)))
             getattr(state, method)(*arguments)

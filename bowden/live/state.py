@@ -6,7 +6,7 @@ decodes and discards. Times are those of the bus, ages those of the clock that i
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -81,8 +81,12 @@ class LiveState:
 
     def force(self, time_ns: int, *forces_n: float) -> None:
         """Add desired, START and END force of each path in one control cycle, NaN for unknown ones; from any thread."""
+        self.forces([(time_ns, forces_n)])
+
+    def forces(self, rows: Iterable[Force]) -> None:
+        """Add the forces of several control cycles; callable from any thread."""
         self._heard_at = self._clock()
-        self._forces.append((time_ns, forces_n))
+        self._forces.extend(rows)
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
         """Add an event, as one sentence; callable from any thread."""
