@@ -35,6 +35,8 @@ ALIKE: Final = (
 """Effects that no gait separates in principle: each is right for the others."""
 SEPARABLE: Final = 132.0
 """χ² of the effect in the trial's sensor noise, session constants adapted, from which a case counts."""
+FURTHER: Final = 20_000
+"""Seed of the motion of a further trial, less that of the case."""
 
 
 @dataclass(frozen=True, order=True)
@@ -53,14 +55,16 @@ class Question:
 
 @dataclass(frozen=True)
 class Drawn:
-    """Columns of one case: two reference trials, one of the trial's own motion, and the trial.
+    """Columns of one case: two reference trials, one of the trial's own motion, the trial, and a further trial.
 
-    `separation`: χ² of the oracle.  `clean`: START and END of the effect alone, N, shape (2, samples).
+    `further`: of the trial's own session and effect, with another motion; nothing is fitted to it.  `separation`: χ² of
+    the oracle.  `clean`: START and END of the effect alone, N, shape (2, samples).
     """
 
     references: tuple[dict[str, Array], ...]
     same_motion: dict[str, Array]
     trial: dict[str, Array]
+    further: dict[str, Array]
     separation: float
     clean: Array
 
@@ -124,24 +128,26 @@ def _second(asked: Question) -> Drawn:
     noise, held, drawn = (random.uniform(.06, .3), random.uniform(.06, .3)), [], module.motion
 
     def made(effects: Sequence[str], number: int, sd: float, values: Mapping[str, Any] = bench,
-             shift_mm: float = 0.0, draws: bool = True) -> dict[str, Array]:
+             shift_mm: float = 0.0, draws: bool = True, other: bool = False) -> dict[str, Array]:
         def motion(*given: Any) -> Any:
             own = drawn(*given) if draws else None
+            if other:
+                return drawn(np.random.default_rng(FURTHER + seed), *given[1:])
             held[:] = held or [own]
             return (held[0][0], held[0][1] + shift_mm, *held[0][2:])
         return _with(module, "motion", motion, lambda: module.make(
             list(effects), values, np.random.default_rng(number), 10, sd)[0])
 
-    trial = made(asked.hidden, seed, noise[0])
+    trial, further = made(asked.hidden, seed, noise[0]), made(asked.hidden, seed, noise[0], other=True)
     same = made(["null"], 50000 + seed, noise[1], draws=False)
     if asked.hidden == ("null",):
-        return Drawn(references, same, trial, 0.0, np.zeros_like(_tensions(trial)))
+        return Drawn(references, same, trial, further, 0.0, np.zeros_like(_tensions(trial)))
     base = made(["null"], seed, 0.0)
     clean = _difference(made(asked.hidden, seed, 0.0), base)
     steps = [_difference(made(["null"], seed, 0.0, {**bench, name: bench[name] * (1.0 + sd)}), base)
              for name, sd in (("mu1", 0.03), ("mu2", 0.05), ("kf0", 0.03))]
     steps.append(_difference(made(["null"], seed, 0.0, bench, 0.2), base))
-    return Drawn(references, same, trial, _separation(clean, steps, base, noise[0]), clean)
+    return Drawn(references, same, trial, further, _separation(clean, steps, base, noise[0]), clean)
 
 
 def _first(asked: Question) -> Drawn:
@@ -151,9 +157,11 @@ def _first(asked: Question) -> Drawn:
     nominal, held, drawn = dict(module.P0), [], module.trajectory
 
     def made(effects: Sequence[str], number: int, values: Mapping[str, Any] = nominal, sd: float = 0.0,
-             draws: bool = True) -> dict[str, Array]:
+             draws: bool = True, other: bool = False) -> dict[str, Array]:
         def trajectory(*given: Any) -> Any:
             own = drawn(*given) if draws else None
+            if other:
+                return drawn(np.random.default_rng(FURTHER + seed), *given[1:])
             held[:] = held or [own]
             return held[0]
         module.P0.update(values)
@@ -163,15 +171,15 @@ def _first(asked: Question) -> Drawn:
         finally:
             module.P0.update(nominal)
 
-    trial = made(asked.hidden, seed, sd=0.2)
+    trial, further = made(asked.hidden, seed, sd=0.2), made(asked.hidden, seed, sd=0.2, other=True)
     same = made(["null"], 50000 + seed, sd=0.2, draws=False)
     if not asked.effects:
-        return Drawn(references, same, trial, 0.0, np.zeros_like(_tensions(trial)))
+        return Drawn(references, same, trial, further, 0.0, np.zeros_like(_tensions(trial)))
     base = made(["null"], seed)
     clean = _difference(made(asked.hidden, seed), base)
     steps = [_difference(made(["null"], seed, {**nominal, name: value}), base) for name, value in (
         ("mu1", 1.03 * nominal["mu1"]), ("mu2", 1.05 * nominal["mu2"]), ("kf0", 1.03 * nominal["kf0"]), ("x0", 0.2))]
-    return Drawn(references, same, trial, _separation(clean, steps, base, 0.2), clean)
+    return Drawn(references, same, trial, further, _separation(clean, steps, base, 0.2), clean)
 
 
 def _with(module: ModuleType, name: str, other: Any, run: Callable[[], dict[str, Array]]) -> dict[str, Array]:
