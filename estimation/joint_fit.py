@@ -3,6 +3,9 @@
 The model is hierarchical: each trial departs from the bench by a session deviation.
 """
 
+from __future__ import annotations
+
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,7 +28,7 @@ from estimation.posterior import (
     loss,
     mode,
 )
-from estimation.reference_fit import FEATURES, NoiseModel, ReferenceFit, features, reach_of, scaling_of
+from estimation.reference_fit import FEATURES, Beside, NoiseModel, ReferenceFit, features, reach_of, scaling_of
 from physics.laws import Array
 
 POOLED: Final = 2.0
@@ -116,14 +119,15 @@ class _Fit:
         self.linear: list[_Linear] = []
         self.contradicted = 0.0
         self.identified: list[tuple[Array, Array]] = []
+        self.wide = Gaussian(self.origin, np.zeros(len(self.free)), np.diag(self.bench_sd**2))
+        self.alone: list[Array] = []
 
     def run(self, stages: int = 3) -> ReferenceFit:
         """Fit the first trial from several starts, then all trials jointly, and return the fit.
 
         Estimates of noise and discrepancy alternate with descents to the joint mode, `stages` times.
         """
-        wide = Gaussian(self.origin, np.zeros(len(self.free)), np.diag(self.bench_sd**2))
-        self._recentre(first_mode(self.model, self.trials[0], wide).q)
+        self._recentre(self._alone(self.trials[0]))
         for stage in range(stages):
             if stage == 1:
                 self._recentre(self._constants(self.bench))
@@ -133,19 +137,22 @@ class _Fit:
             if len(self.trials) > 1:
                 self._scatter()
         if len(self.trials) > 1 and not self.model.pools_sessions:
-            self._restart(wide)
+            self._restart()
         return self._finished()
 
-    def _restart(self, wide: Gaussian, least: float = 3.0) -> None:
+    def _alone(self, trial: Recording) -> Array:
+        """Return the coordinates at the mode of one trial by itself, and store them as a further start."""
+        self.alone.append(first_mode(self.model, trial, self.wide).q)
+        return self.alone[-1]
+
+    def _restart(self, least: float = 3.0) -> None:
         """Descend once more, from the last trial's own mode, and take the better minimum for all trials.
 
         `least`: gain, nats, from which the restart contradicts the first minimum; 3 are odds of 20 to 1.
         """
         self._descend()
-        size, here, cost = len(self.free), (self.bench, self.at), self._cost(self.bench, self.at)
-        own = first_mode(self.model, self.trials[-1], wide).q[self.free] - self.origin[self.free]
-        self.bench = np.concatenate([own, self.bench[size:]])
-        self.at = [np.concatenate([own, x[size:]]) for x in self.at]
+        here, cost = (self.bench, self.at), self._cost(self.bench, self.at)
+        self._begin(self._alone(self.trials[-1]))
         self._descend()
         self.contradicted = 0.5 * (cost - self._cost(self.bench, self.at))
         if self.contradicted < least:
@@ -154,18 +161,68 @@ class _Fit:
         self._noise()
         self._amplitudes()
 
+    def _begin(self, q: Array) -> None:
+        """Set the constants of bench and trials to the coordinates `q`."""
+        size, own = len(self.free), (q - self.origin)[self.free]
+        self.bench = np.concatenate([own, self.bench[size:]])
+        self.at = [np.concatenate([own, x[size:]]) for x in self.at]
+
+    def beside(self, fit: ReferenceFit, trial: Recording, x: Array) -> Beside:
+        """Return the reference condition of `fit` at the best joint minimum of reference trials and a further `trial`.
+
+        `x`: mode of the trial under `fit`, where the descents begin that do not begin at a mode of one trial by itself.
+        Under the joint posterior of a bench of another structure minima are several, and a further trial may decide
+        between them, which the Gaussian of one of them cannot.
+        """
+        both = copy.copy(self)
+        both.trials, both.at = [*self.trials, trial], [*self.at, x]
+        both.states = [*self.states, self.model.simulated_states(self.origin, trial)]
+        both.features = [*self.features, features(self.model, both.states[-1], self.scaling, self.outputs)]
+        both._weigh()
+        best, least = (self.bench, both.at), np.inf
+        for q in (None, *self.alone, first_mode(self.model, trial, self.wide).q):
+            both.bench, both.at = best
+            if q is not None:
+                both._begin(q)
+            both._descend()
+            cost = both._cost(both.bench, both.at)
+            if cost < least:
+                best, least = (both.bench, both.at), cost
+        there = copy.copy(self)
+        there.bench, there.at = best[0], best[1][:-1]
+        bench, nats = there._posterior()
+        return Beside(replace(fit, bench=bench, prior=there._further(bench), identified=tuple(there.identified),
+                              beside=None), nats - copy.copy(self)._posterior()[1], best[1][-1])
+
+    def _posterior(self) -> tuple[Gaussian, float]:
+        """Return the posterior of the bench by the trials linearised where they stand, and its log evidence, nats.
+
+        The evidence of `_joint`, and the data's: −½eᵀWe, with Huber's loss at the point in place of its quadratic.
+        """
+        self._identify()
+        mean, nats = self._joint(range(len(self.trials)))
+        for k, linear in enumerate(self.linear):
+            residual = self._residual(k, self.at[k])
+            nats -= 0.5 * float(linear.error @ (linear.weight * linear.error) - residual @ (linear.weight * residual)
+                                + loss(residual, np.sqrt(self.weight[k])))
+        return replace(self._bounded(), mean=mean.mean), nats
+
+    def _further(self, bench: Gaussian) -> Gaussian:
+        """Return the prior of a further trial."""
+        # features stay those simulated at the origin: the states change by far less than the length scale
+        return Gaussian(bench.origin, bench.mean + self._lift(bench.mean),
+                        bench.covariance + np.diag(self._session()))
+
     def _finished(self) -> ReferenceFit:
         """Descend with the last estimates of noise and discrepancy, and return the fit."""
         self._descend()
         self._identify()
         self.scatter_n = self._missed()
         bench = self._bounded()
-        # features stay those simulated at the origin: the states change by far less than the length scale
-        prior = Gaussian(bench.origin, bench.mean + self._lift(bench.mean),
-                         bench.covariance + np.diag(self._session()))
-        return ReferenceFit(self.model, self.outputs, self.origin, bench, prior, self.scaling, self.model_error,
-                            self.tau, self.scatter_n, self._mean_cost(), self.reach, tuple(self.identified),
-                            self.contradicted)
+        return ReferenceFit(self.model, self.outputs, self.origin, bench, self._further(bench), self.scaling,
+                            self.model_error, self.tau, self.scatter_n, self._mean_cost(), self.reach,
+                            tuple(self.identified), self.contradicted,
+                            None if self.model.pools_sessions else self.beside)
 
     def _bounded(self) -> Gaussian:
         """Return the bench at the joint mode, its covariance linearised where "positive" constants are above 0.

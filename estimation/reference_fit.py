@@ -4,7 +4,9 @@ The discrepancy is a Gaussian process in random Fourier features.  Its inputs ar
 under the trial's motion, not sensor readings.
 """
 
-from collections.abc import Mapping, Sequence
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Final, NamedTuple
@@ -78,6 +80,8 @@ class ReferenceFit:
     `identified`: coordinates and feature weights at the mode of each reference trial.  `scatter_n`: RMS error by
     output, N, of the other reference trials' models on one trial; a single trial is predicted by its model.
     `contradicted`: nats by which a restart of the fit found a better minimum than the first start, 0 if it did not.
+    `beside`: function of this fit, a further trial and its mode that returns the reference condition at their joint
+    minimum; None for a condition that was not fitted here, and for pooled sessions.
     """
 
     model: ForwardModel
@@ -93,6 +97,7 @@ class ReferenceFit:
     reach: Reach | None
     identified: tuple[tuple[Array, Array], ...] = ()
     contradicted: float = 0.0
+    beside: Callable[[ReferenceFit, Recording, Array], Beside] | None = None
 
     def warning(self) -> str:
         """Return a sentence if a restart of the fit contradicted the first minimum; else ""."""
@@ -172,6 +177,15 @@ class ReferenceFit:
             for data in (trial.data, predicted(self.model, self.origin, trial)))
         faster = (1.0 + beyond) ** 2 if self.model.pools_sessions else 1.0
         return np.repeat(faster * np.maximum(1.0, measured / np.maximum(expected, 1e-12)), trial.bins)
+
+
+class Beside(NamedTuple):
+    """Reference condition at another minimum: the fit, log evidence of its reference trials less that of the first
+    minimum, nats, and the departures of a further trial there."""
+
+    fit: ReferenceFit
+    nats: float
+    x: Array
 
 
 class NoiseModel(NamedTuple):

@@ -23,7 +23,8 @@ def encoded(fit: ReferenceFit) -> bytes:
             arrays[f"a{len(arrays)}"] = value
             return {"array": f"a{len(arrays) - 1}"}
         if is_dataclass(value):
-            return {"fields": {f.name: plain(getattr(value, f.name)) for f in fields(value) if f.name != "model"}}
+            return {"fields": {f.name: plain(getattr(value, f.name)) for f in fields(value)
+                               if f.name not in ("model", "beside")}}
         if hasattr(value, "_asdict"):
             return {"fields": {k: plain(v) for k, v in value._asdict().items()}}
         if isinstance(value, tuple | list):

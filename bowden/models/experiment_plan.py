@@ -12,7 +12,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bowden.bench import buses, configuration
@@ -22,7 +21,6 @@ from diagnosis.evidence import decision
 from diagnosis.evidence.experiment_prediction import DECIDES, PlannedExperiment, predicted_experiments
 from diagnosis.evidence.hypothesis_search import search
 from diagnosis.evidence.identical_motion import REPEAT, paired
-from diagnosis.evidence.session_change import feature_sd
 from estimation.data import table as data
 from estimation.data.table import Table
 from estimation.joint_fit import fit_reference
@@ -183,10 +181,10 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
         observed = reference.observe(*(PATH_MODEL.record(t) for t in trials))
         pair = paired(reference, walked, observed)
         if pair is None:
-            found = search(observed, reference.prior_of(observed), reference.starts(), feature_sd(reference))
+            found = search(observed, reference.prior_of(observed), reference)
         else:
             tried = (*tried, REPEAT)
-            found = search(pair.observed, pair.prior, (), np.zeros_like(feature_sd(reference)))
+            found = search(pair.observed, pair.prior)
         decided = decision.decide(found)
         experiments = predicted_experiments(found, decided.among, reference, tried, walked)
     return ExperimentPlan(decided.verdict, decided.among, tuple(experiments), tried, _by_hand(decided.among))

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cho_solve
 
-from diagnosis.evidence.hypothesis_search import TrialModes, search_null, search_pairs
+from diagnosis.evidence.hypothesis_search import TrialModes, search_beside, search_pairs
 from estimation.forward_model import ForwardModel
 from estimation.posterior import HUBER, SURROGATE, PosteriorMode, SessionData, own_error, screened
 from physics.effects.hypotheses import Variant
@@ -64,11 +64,12 @@ class Decision:
 def decide(found: TrialModes) -> Decision:
     """Return the verdict that the evidence of one trial supports.
 
-    If an effect is named, further modes of the null and pairs with the best effect are fitted and added to `found`.
+    If an effect is detected, modes at another minimum of the reference trials are added to `found`, and if one is
+    named, pairs with the best effect.
     """
     least = threshold(found.observed.model)
     if detected(found.gains(), least):
-        search_null(found)
+        search_beside(found)
     gains = found.gains()
     seen = detected(gains, least)
     if not seen:

@@ -13,7 +13,6 @@ from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
 from diagnosis.evidence.hypothesis_search import TrialModes, search
 from diagnosis.evidence.identical_motion import paired
-from diagnosis.evidence.session_change import feature_sd
 from diagnosis.findings import Findings
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel, predicted
@@ -99,12 +98,12 @@ class EvidenceFinder:
         observed = reference.observe(*read)
         pair = paired(reference, [self._read(t, outputs) for t in self._tables], observed)
         if pair is None:
-            found = search(observed, reference.prior_of(observed), reference.starts(), feature_sd(reference))
+            found = search(observed, reference.prior_of(observed), reference)
         else:
             observed = pair.observed
-            found = search(observed, pair.prior, (), np.zeros_like(feature_sd(reference)))
+            found = search(observed, pair.prior)
         decided = self._decided(found)
-        bench = self.model.constants.named(reference.bench_coordinates())
+        bench = self.model.constants.named((found.reference or reference).bench_coordinates())
         said = list(warnings)
         while beyond := _beyond(found, decided, bench):
             name, sentence = beyond

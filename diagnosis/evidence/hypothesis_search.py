@@ -3,14 +3,15 @@
 A linear screen ranks the effects of the catalogue; only the first few are fitted.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
-from diagnosis.evidence.session_change import averaged
-from estimation.posterior import CLOSE, Gaussian, PosteriorMode, SessionData, begun, mode, screened
+from diagnosis.evidence.session_change import averaged, feature_sd
+from estimation.posterior import Gaussian, PosteriorMode, SessionData, begun, mode, screened
+from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
@@ -24,15 +25,15 @@ If it is too small, a screen may miss the true effect; the time of a search grow
 class TrialModes:
     """Modes of one trial: `null`, `single` by effect, and `pair` by best and second effect.
 
-    `amplitude`: 1σ of each feature's weight between benches, 0 for a pair of identical motion, under which the
-    discrepancy repeats.  `variants`: the variant that each effect of `single` was
-    fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since their best
-    value is outside their bounds.
+    `reference`: reference condition; None for a pair of identical motion, under which the discrepancy repeats.
+    `prior`: prior of the session at the minimum of the best effect.  `variants`: the variant that each effect of
+    `single` was fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since
+    their best value is outside their bounds.
     """
 
     observed: SessionData
     prior: Gaussian
-    amplitude: Array | None
+    reference: ReferenceFit | None
     null: PosteriorMode
     single: dict[str, PosteriorMode] = field(default_factory=dict)
     variants: dict[str, Variant] = field(default_factory=dict)
@@ -60,15 +61,15 @@ def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[st
     return {name: variants for name, variants in offered.items() if variants}
 
 
-def search(observed: SessionData, prior: Gaussian, starts: Sequence[Array] = (), amplitude: Array | None = None
-           ) -> TrialModes:
+def search(observed: SessionData, prior: Gaussian, reference: ReferenceFit | None = None) -> TrialModes:
     """Fit the null and the effects that the screen ranks first, and restart the fits from each other's modes.
 
-    The null starts at the prior's mean and at `starts`, departures of constants and feature weights from the origin.
-    `amplitude`: 1σ of each feature's weight between benches; without it, no evidence is averaged over amplitudes.
+    The null starts at the prior's mean and at the modes of the trials of the `reference` condition, None for a pair of
+    identical motion, under which the discrepancy repeats.
     """
+    starts = () if reference is None else reference.starts()
     null = max((mode(observed, prior, start=at) for at in (None, *starts)), key=lambda m: m.log_evidence)
-    found = TrialModes(observed, prior, amplitude, null)
+    found = TrialModes(observed, prior, reference, null)
     found.null = _averaged(found, null)
     offered = hypotheses(observed, observed.model.constants.named(prior.origin))
     # at the reference constants no constant has taken up an effect
@@ -80,20 +81,36 @@ def search(observed: SessionData, prior: Gaussian, starts: Sequence[Array] = (),
     return found
 
 
-def search_null(found: TrialModes, starts: int = 4, share: float = 0.3) -> None:
-    """Fit the null from `starts` random departures from its mode, and the best effects from a better mode of it.
+def search_beside(found: TrialModes) -> None:
+    """Fit the null and the best effects at the best joint minimum of reference trials and trial, too, once.
 
-    The departures are drawn from the prior, with `share` of its σ.
+    The larger evidence counts, that of the reference trials included.  On a bench of another structure minima are
+    several, and the reference trials' own one may hold the trial for changed although another one predicts them all.
     """
-    random, begin = np.random.default_rng(7), found.null
-    for _ in range(starts):
-        again = _fit(found, [], begin.x + share * begin.factor @ random.normal(size=begin.x.size))
-        if again is not None and again.log_evidence > found.null.log_evidence:
-            found.null = again
-    if found.null.log_evidence > begin.log_evidence + CLOSE:
-        offered = hypotheses(found.observed, found.observed.model.constants.named(found.prior.origin))
-        _screen(found, offered, found.null, FOREMOST // 2)
-        _cross(found)
+    first = found.reference
+    if first is None or first.beside is None:
+        return
+    fit, nats, start = first.beside(first, found.observed.trials[0], found.null.x)
+    other = replace(found, prior=fit.prior_of(found.observed), reference=fit, single={}, variants={})
+    fitted = [at for x in (start, found.null.x) if (at := _fit(other, [], x)) is not None]
+    if not fitted:
+        return
+    other.null = max(fitted, key=lambda at: at.log_evidence)
+    for name in list(found.gains())[:FOREMOST]:
+        variant = found.variants[name]
+        for x in (found.single[name].x, begun(other.null, variant)):
+            _keep(other, name, variant, _fit(other, [variant], x))
+    found.reference = fit  # asked once
+    best = max(at.log_evidence for at in (found.null, *found.single.values()))
+    if max(at.log_evidence + nats for at in (other.null, *other.single.values())) > best:
+        found.prior = other.prior
+    found.null = max(found.null, _shifted(other.null, nats), key=lambda at: at.log_evidence)
+    for name, at in other.single.items():
+        _keep(found, name, other.variants[name], _shifted(at, nats))
+
+
+def _shifted(at: PosteriorMode, nats: float) -> PosteriorMode:
+    return replace(at, log_evidence=at.log_evidence + nats)
 
 
 def search_pairs(found: TrialModes, best: str) -> None:
@@ -148,9 +165,9 @@ def _fit(found: TrialModes, variants: list[Variant], start: Array) -> PosteriorM
 
 def _averaged(found: TrialModes, at: PosteriorMode) -> PosteriorMode:
     """Return a mode with its evidence averaged over a further change of the discrepancy between sessions."""
-    if found.amplitude is None:
+    if found.reference is None:
         return at
-    return replace(at, log_evidence=averaged(at, found.amplitude, found.observed.model.session_shares))
+    return replace(at, log_evidence=averaged(at, feature_sd(found.reference), found.observed.model.session_shares))
 
 
 def _keep(found: TrialModes, name: str, variant: Variant, fitted: PosteriorMode | None) -> bool:

@@ -18,7 +18,21 @@ PRESLIDING: Final = 1.0 / math.log(2.0)
 With it friction rises from −1 to 0 over the same distance in both."""
 LOAD_PER_STEP: Final = 0.25
 """Change of `load` between 30 N, to which exponents of the path refer, and 40 N, to which the simulation's refer."""
+WANDER: Final = 4
+"""Number of sines of a sensor's zero over a trial."""
 _C = ModelConstant
+
+
+def _wandering(sensor: str, drift: float = 0.1) -> tuple[ModelConstant, ...]:
+    """Return the rows of a sensor's wandering zero: sines of a Brownian bridge, beside the linear `drift`, N.
+
+    A Wiener process with 1σ `drift` at its end is that linear drift and Σ √2·drift/(kπ)·ξₖ·sin(kπt/T), ξₖ ~ N(0, 1)
+    (Karhunen–Loève).
+    """
+    return tuple(_C(f"{sensor}_wander{k}", "N", 0.0, "linear", 0.01, math.sqrt(2.0) * drift / (k * math.pi),
+                    f"zero of {sensor.upper()}, sine of {k} half waves over the trial") for k in range(1, WANDER + 1))
+
+
 TABLE: Final = (
     _C("zero", "m", 0.0, "linear", 50e-3, 2e-4, "encoder at the taut, unloaded rope; session: repeatability of homing"),
     _C("arm", "m/rad", 0.04, "linear", 4e-3, 2e-4, "(11): rope per knee angle, k2; session 0.5 %"),
@@ -57,10 +71,12 @@ TABLE: Final = (
     _C("start_gain", "", 1.0, "linear", 0.003, 0.003, "gain of START; maker's class 0.3 %"),
     _C("start_offset", "N", 0.0, "linear", 0.15, 0.1, "zero of START"),
     _C("start_drift", "N", 0.0, "linear", 0.05, 0.1, "zero drift of START over the trial; session: as the zero"),
+    *_wandering("start"),
     _C("start_lag", "s", 1e-3, "linear", 0.003, 3e-4, "lag of START behind rope and knee"),
     _C("end_gain", "", 1.0, "linear", 0.003, 0.003, "gain of END"),
     _C("end_offset", "N", 0.0, "linear", 0.15, 0.1, "zero of END"),
     _C("end_drift", "N", 0.0, "linear", 0.05, 0.1, "zero drift of END over the trial; session: as the zero"),
+    *_wandering("end"),
     _C("end_lag", "s", 1e-3, "linear", 0.003, 3e-4, "lag of END behind rope and knee"),
     _C("end_filter", "s", 0.0, "positive", 0.0, 0.0, "time constant of a further low-pass on END", 3e-4, 1e-3),
     _C("end_mass", "kg", 0.0, "linear", 0.0, 0.0, "mass that END carries", step=0.01),

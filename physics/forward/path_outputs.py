@@ -5,19 +5,21 @@ a time grid of `step_s`; results have shape (sets, samples).
 """
 
 import math
+from collections.abc import Callable
 from typing import Final, Protocol
 
 import numpy as np
 from numba import njit
 from scipy.signal import lfilter
 
-from physics.forward.path_constants import INDEX
+from physics.forward.path_constants import INDEX, WANDER
 from physics.forward.rig_forces import dahl_states
 from physics.laws import Array
 from physics.plant.components import GRAVITY
 
 OF_DRIVE: Final = (
-    "start_lag", "start_offset", "start_drift", "start_gain", "drum_radius", "eccentric_sin", "eccentric_cos",
+    "start_lag", "start_offset", "start_drift", *(f"start_wander{k}" for k in range(1, WANDER + 1)), "start_gain",
+    "drum_radius", "eccentric_sin", "eccentric_cos",
     "drive_travel",
     "drive_coulomb", "drive_asymmetry", "drive_viscous", "drive_viscous_asymmetry", "drive_inertia", "drive_offset",
     "demand_gain")
@@ -50,8 +52,15 @@ def end_reading(given: Array, end: Array, motion: PathMotion, step_s: float) -> 
 
 
 def _read(given: Array, sensor: str, tension: Array, motion: PathMotion) -> Array:
-    gain, offset, drift = (given[INDEX[f"{sensor}_{name}"]][:, None] for name in ("gain", "offset", "drift"))
-    return np.asarray(gain * tension + offset + drift * motion.progress)
+    def column(name: str) -> Array:
+        return np.asarray(given[INDEX[f"{sensor}_{name}"]][:, None])
+    return np.asarray(column("gain") * tension + _zero(column, motion.progress))
+
+
+def _zero(column: Callable[[str], Array], progress: Array) -> Array:
+    """Return a sensor's zero over a trial from its constants: offset, drift and wander."""
+    waves = (column(f"wander{k}") * np.sin(k * math.pi * progress) for k in range(1, WANDER + 1))
+    return np.asarray(column("offset") + column("drift") * progress + sum(waves))
 
 
 def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
@@ -66,7 +75,7 @@ def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
         return np.asarray(constants[name][:, None])
 
     start = _late(np.tile(motion.start_n, (distinct.shape[0], 1)), -constants["start_lag"], step_s)
-    tension = (start - column("start_offset") - column("start_drift") * motion.progress) / column("start_gain")
+    tension = (start - _zero(lambda name: column(f"start_{name}"), motion.progress)) / column("start_gain")
     radius = column("drum_radius")
     angle = motion.rope_m / radius
     arm = 1.0 + (column("eccentric_sin") * np.cos(angle) - column("eccentric_cos") * np.sin(angle)) / radius

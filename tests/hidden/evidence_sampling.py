@@ -99,7 +99,7 @@ def both(job: Job, particles: int) -> tuple[Job, str, float, float]:
     finder = EvidenceFinder(list(made.healthy))
     fitted = finder.reference([made.trial])
     observed = fitted.observe(PATH_MODEL.record(made.trial))
-    found = search(observed, fitted.prior, fitted.starts())
+    found = search(observed, fitted.prior, fitted)
     best, laplace = next(iter(found.gains().items()))
     with_effect = sampled(observed, fitted.prior, [found.variants[best]], found.single[best], particles)
     return job, best, laplace, with_effect - sampled(observed, fitted.prior, [], found.null, particles)
