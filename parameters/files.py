@@ -35,6 +35,12 @@ def refuse_special(path: str | Path) -> None:
         raise InputError(f"{path}: cannot be read, it is {_KINDS.get(kind, 'no file')}; give the path of a file.")
 
 
+def refuse_large(path: Path) -> None:
+    """Raise `InputError` where a file is longer than is read into memory; its content would take as much or more."""
+    if path.stat().st_size > READ_LIMIT:
+        raise InputError(f"{path}: is longer than {READ_LIMIT} bytes; cut it.")
+
+
 def content(path: Path, what: str, *, limit: int = READ_LIMIT, lines: bool = False) -> bytes:
     """Return the bytes of a file, unpacked if its name ends in .gz; `what` names the expected kind of file.
 
@@ -184,6 +190,7 @@ __all__ = [
     "BoundedFile",
     "content",
     "most_unpacked",
+    "refuse_large",
     "refuse_long_lines",
     "refuse_special",
     "replaced",

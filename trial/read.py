@@ -331,8 +331,8 @@ def _table(
 ) -> tuple[Integers, Floats, int]:
     """Return times, columns (names, rows) and the number of lost rows of a table."""
     width = len(_columns(channel, path)[0])
-    chunks = records.chunks_of(summary, channel.number, path, len(view))
-    room = sum(chunk.unpacked for chunk in chunks) // cdr.cycle_record(width).itemsize
+    records.chunks_of(summary, channel.number, path, len(view))  # raises before the room is taken
+    room = records.unpacked_bytes(summary, channel.number) // cdr.cycle_record(width).itemsize
     times, values = np.empty(room, np.int64), np.empty((width, room))
     count = sequence = 0
     for rows in _table_records(view, summary, channel.topic, path):

@@ -207,7 +207,7 @@ def bomb(path: Path, size: int, chunks: int) -> None:
     for _ in range(chunks):
         at, chunk = made.position, container._record(Chunk("zstd", packed, 0, 0, 0, size))
         made._write(chunk)
-        made._summary[container.CHUNK_INDEX].append(container._record(
+        made._summarise(container.CHUNK_INDEX, container._record(
             ChunkIndex(len(chunk), at, "zstd", len(packed), 0, 0, {2: 0}, 0, size)))
     recorder.close({})
 

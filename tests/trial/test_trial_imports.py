@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import math
 import struct
+import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -18,9 +19,11 @@ from mcap.writer import Writer
 import trial
 from eds.bench.bench_network import Network, wire
 from parameters import InputError
+from parameters.files import READ_LIMIT
 from trial.convert import candump, csv_table
+from trial.convert.contents import contents
 from trial.convert.frames import rows_of
-from trial.convert.imports import import_file
+from trial.convert.imports import import_file, raw_content
 from trial.mcap_file import cdr
 from trial.signals import SIGNALS, Signal
 
@@ -325,6 +328,36 @@ def test_a_file_that_is_not_what_its_ending_says_is_refused(tmp_path: Path, case
     with pytest.raises(InputError, match=message):
         import_file(tmp_path / name, tmp_path / "imported.mcap")
     assert not (tmp_path / "imported.mcap").exists()
+
+
+def test_the_contents_of_an_hour_need_the_memory_of_a_minute(tmp_path: Path) -> None:
+    peaks, chunks = [], (500, 4500)
+    for count in chunks:
+        path = tmp_path / f"{count}.mcap"
+        with path.open("wb") as file:
+            writer = Writer(file, chunk_size=1)
+            writer.start()
+            channel = writer.register_channel("/one", "json", writer.register_schema("one", "jsonschema", b"{}"))
+            for k in range(count):
+                writer.add_message(channel, k * 1_000_000, b"{}", k * 1_000_000)
+            writer.finish()
+        tracemalloc.start()
+        found = contents(path)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert found.streams[0].messages == count
+        assert found.seconds == pytest.approx((count - 1) * 1e-3)
+    # its place, size and channels in 32 bytes, twice 16 to sort by time; the objects of a reader took 900
+    assert (peaks[1] - peaks[0]) / (chunks[1] - chunks[0]) < 100
+
+
+@pytest.mark.parametrize("ending", ["asc", "blf", "trc", "csv", "log", "xlsx"])
+def test_a_file_beyond_the_memory_is_refused_before_it_is_read(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"long.{ending}"
+    with path.open("wb") as file:
+        file.truncate(READ_LIMIT + 1)
+    with pytest.raises(InputError, match=f"long.{ending}: is longer than {READ_LIMIT} bytes; cut it"):
+        raw_content(path)
 
 
 def test_a_map_for_a_can_log_is_refused(tmp_path: Path) -> None:

@@ -6,10 +6,9 @@ Nothing is converted and nothing judged; a property that the file does not state
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from mcap.exceptions import McapError
 from numpy.typing import NDArray
 
 from eds.bench.bench_network import NAMES, Network, wire
@@ -20,7 +19,7 @@ from trial.convert import imports
 from trial.convert.csv_table import SignalSource, guesses, offer, split_unit
 from trial.convert.frames import LoggedFrames
 from trial.convert.lab_table import LabTable
-from trial.mcap_file import cdr
+from trial.mcap_file import cdr, records
 from trial.signals import UNITS
 
 MANTISSA_BITS = 10
@@ -103,6 +102,11 @@ class StepHistogram:
         place = (exponent << MANTISSA_BITS) + ((2 * mantissa - 1) * (1 << MANTISSA_BITS)).astype(np.int64)
         self._counts += np.bincount(np.where(steps > 0, place, 0), minlength=len(self._counts))
 
+    @property
+    def ends_ns(self) -> tuple[int, int]:
+        """First and last time, ns."""
+        return self._first_ns, self._last_ns
+
     def summary(self, name: str, kind: str) -> StreamSummary:
         """Describe the stream."""
         if self.messages < 2:
@@ -139,49 +143,25 @@ def _together(parts: Sequence[ColumnSummary]) -> ColumnSummary:
 
 
 def _mcap(path: Path) -> Contents:
-    from mcap.reader import SeekingReader
-
-    try:
-        with path.open("rb") as file:
-            reader = SeekingReader(file)
-            summary = reader.get_summary()
-            if summary is None:
-                raise InputError(f"{path}: has no summary, it is torn; say bowden recover {path} -o FILE.")
-            header = reader.get_header()
-            found = Contents(path, f"MCAP, profile {header.profile or 'none'}, by {header.library or 'unknown'}")
-            steps = _steps(file, summary)
-            for metadata in reader.iter_metadata():
-                if metadata.name in ("trial", "result", "recovered"):
-                    found.about |= {name: text for name, text in metadata.metadata.items() if text}
-            found.attachments = {one.name: one.data_size for one in summary.attachment_indexes}
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a recording.") from None
-    except (McapError, ValueError, KeyError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path}: is torn, damaged or no MCAP file ({type(error).__name__}); say bowden recover "
-                         f"{path} -o FILE.") from None
+    with records.mapped(path) as view:
+        summary = records.summary(view, path)
+        steps = {number: StepHistogram() for number in summary.channels}
+        for number, times in records.message_times(view, path):
+            steps.setdefault(number, StepHistogram()).add(times)
+        profile, library = records.header(view, path)
+        found = Contents(path, f"MCAP, profile {profile or 'none'}, by {library or 'unknown'}")
+        for name, written in records.metadata(view, summary, path).items():
+            if name in ("trial", "result", "recovered"):
+                found.about |= {key: text for key, text in written.items() if text}
+        found.attachments = {name: len(data) for name, data in records.attachments(view, summary, path).items()}
     for number, channel in summary.channels.items():
-        schema = summary.schemas.get(channel.schema_id)
-        found.streams.append(steps.get(number, StepHistogram()).summary(
-            channel.topic, schema.name if schema else channel.message_encoding))
-    if summary.statistics and summary.statistics.message_count:
-        found.begins_ns = summary.statistics.message_start_time
-        found.seconds = (summary.statistics.message_end_time - summary.statistics.message_start_time) / 1e9
+        found.streams.append(steps[number].summary(channel.topic, channel.schema_name or channel.encoding))
+    ends = np.array([one.ends_ns for one in steps.values() if one.messages])
+    if len(ends):
+        found.begins_ns = int(ends.min())
+        found.seconds = (int(ends.max()) - found.begins_ns) / 1e9
     _columns_of_trial(path, found)
     return found
-
-
-def _steps(file: Any, summary: Any) -> dict[int, StepHistogram]:
-    """Return the steps of every channel by the message indexes, which are read without unpacking a chunk."""
-    steps: dict[int, StepHistogram] = {}
-    for chunk in sorted(summary.chunk_indexes, key=lambda chunk: chunk.message_start_time):
-        for channel, offset in chunk.message_index_offsets.items():
-            file.seek(offset)
-            head = file.read(15)  # opcode, length, channel, length of the array
-            entries = np.frombuffer(file.read(int.from_bytes(head[11:15], "little")), "<u8").reshape(-1, 2)
-            steps.setdefault(channel, StepHistogram()).add(entries[:, 0].astype(np.int64))
-    return steps
 
 
 def _columns_of_trial(path: Path, found: Contents) -> None:
@@ -189,15 +169,15 @@ def _columns_of_trial(path: Path, found: Contents) -> None:
         return
     try:
         opened = read.open_file(path)
-        columns = {name: [_column(name, unit, np.empty(0))] for name, unit in opened.units.items()}
+        columns = {name: _column(name, unit, np.empty(0)) for name, unit in opened.units.items()}
         for block in opened.blocks():
             for name, values in block.columns.items():
-                columns[name].append(_column(name, opened.units[name], values))
+                columns[name] = _together((columns[name], _column(name, opened.units[name], values)))
         lost = opened.extent.lost_cycles
     except InputError as error:
         found.remarks.append(str(error))
         return
-    found.columns = [_together(parts) for parts in columns.values()]
+    found.columns = list(columns.values())
     if lost:
         found.remarks.append(f"{lost} control cycles are missing")
     if opened.recovered is not None:

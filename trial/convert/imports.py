@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from eds.bench.bench_network import Network, WireLayout
 from eds.bench.bench_network import wire as wire_of
 from parameters import InputError
-from parameters.files import BoundedFile, refuse_special, unpacked_ending
+from parameters.files import BoundedFile, refuse_large, refuse_special, unpacked_ending
 from trial import decode, record
 from trial.convert import candump, csv_table, sheets
 from trial.convert.csv_file import Dialect
@@ -198,6 +198,7 @@ def _from_candump(source: Path, report: ImportReport, asked: ImportRequest) -> T
 
 def _candump_frames(source: Path, progress: Progress) -> LoggedFrames:
     try:
+        refuse_large(source)
         with BoundedFile(source, lines=True) as raw:
             lines = io.TextIOWrapper(io.BufferedReader(raw, 1 << 16), encoding="ascii", errors="replace")
             frames = candump.read(_followed(lines, raw, progress))

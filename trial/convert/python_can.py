@@ -24,7 +24,7 @@ from can.io.player import MESSAGE_READERS
 from numpy.typing import NDArray
 
 from parameters import InputError
-from parameters.files import BoundedFile, refuse_special, unpacked_ending
+from parameters.files import BoundedFile, refuse_large, refuse_special, unpacked_ending
 from trial.convert.frames import ChannelNumbers, FrameRows, LoggedFrames, Row
 from trial.mcap_file import cdr
 from trial.read import frame_blocks
@@ -218,6 +218,7 @@ def read_log(path: Path, progress: Callable[[float], None] = lambda share: None)
     channels = ChannelNumbers()
     counts = {"fd_frames": 0, "malformed_frames": 0, "dlc_above_8": 0}
     try:
+        refuse_large(path)
         with _messages(path) as (reader, share):
             for number, message in enumerate(reader, start=1):
                 if number % ROWS_AT_ONCE == 0:

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 
 from parameters import InputError
-from parameters.files import READ_LIMIT, refuse_special, unpacked_limit
+from parameters.files import refuse_large, refuse_special, unpacked_limit
 from trial.convert import csv_file
 from trial.convert.lab_table import Floats, LabTable, unique
 
@@ -45,8 +45,7 @@ def sheet_of(path: Path, dialect: csv_file.Dialect | None = None) -> LabTable:
     refuse_special(path)
     if not path.exists():
         raise InputError(f"{path}: no such file; give the path of a table.")
-    if path.stat().st_size > READ_LIMIT:
-        raise InputError(f"{path}: is longer than {READ_LIMIT} bytes; cut it.")
+    refuse_large(path)
     try:
         return excel(path, chosen) if ending == ".xlsx" else readers[ending](path)
     except InputError:

@@ -41,7 +41,7 @@ class ByteSink(Protocol):
     def write(self, data: bytes, /) -> int | None: ...
 
 
-def write_all(sink: ByteSink, data: bytes) -> None:
+def write_all(sink: ByteSink, data: bytes | bytearray) -> None:
     """Write every byte of `data`; an unbuffered file may take fewer at a time than it is given."""
     view = memoryview(data)
     while view:
@@ -59,14 +59,15 @@ class Container:
         self._sink = sink
         self._crc = 0
         self._compress = zstandard.ZstdCompressor(level=ZSTD_LEVEL).compress
-        self._summary: dict[int, list[bytes]] = {opcode: [] for opcode in (
+        self._summary: dict[int, bytearray] = {opcode: bytearray() for opcode in (
             SCHEMA, CHANNEL, STATISTICS, CHUNK_INDEX, ATTACHMENT_INDEX, METADATA_INDEX)}
+        self._records = dict.fromkeys(self._summary, 0)
         self._counts: dict[int, int] = {}
         self._first_ns: int | None = None
         self._last_ns = 0
         self._write(MAGIC + _record(mcap.Header("ros2", library)))
 
-    def _write(self, data: bytes) -> None:
+    def _write(self, data: bytes | bytearray) -> None:
         write_all(self._sink, data)
         self.position += len(data)
         self._crc = zlib.crc32(data, self._crc)
@@ -74,32 +75,37 @@ class Container:
     def _describe(self, opcode: int, record: Any) -> int:
         """Write a record that the summary repeats; returns its number among those."""
         whole = _record(record)
-        self._summary[opcode].append(whole)
         self._write(whole)
-        return len(self._summary[opcode])
+        return self._summarise(opcode, whole)
+
+    def _summarise(self, opcode: int, whole: bytes) -> int:
+        """Keep a record for the summary; returns its number among those of `opcode`."""
+        self._summary[opcode] += whole
+        self._records[opcode] += 1
+        return self._records[opcode]
 
     def schema(self, name: str, encoding: str, text: str) -> int:
         """Describe a message; returns the schema's id."""
-        return self._describe(SCHEMA, mcap.Schema(len(self._summary[SCHEMA]) + 1, text.encode(), encoding, name))
+        return self._describe(SCHEMA, mcap.Schema(self._records[SCHEMA] + 1, text.encode(), encoding, name))
 
     def channel(self, topic: str, schema: int, encoding: str, metadata: Mapping[str, str]) -> int:
         """Open a topic; returns the channel's id."""
         number = self._describe(CHANNEL, mcap.Channel(
-            len(self._summary[CHANNEL]) + 1, topic, encoding, dict(metadata), schema))
+            self._records[CHANNEL] + 1, topic, encoding, dict(metadata), schema))
         self._counts[number] = 0
         return number
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file, whole; its times are 0, as nothing wall-timed goes in here."""
         whole = _record(mcap.Attachment(0, 0, name, media_type, data))
-        self._summary[ATTACHMENT_INDEX].append(_record(mcap.AttachmentIndex(
+        self._summarise(ATTACHMENT_INDEX, _record(mcap.AttachmentIndex(
             self.position, len(whole), 0, 0, len(data), name, media_type)))
         self._write(whole)
 
     def metadata(self, name: str, mapping: Mapping[str, str]) -> None:
         """Write a named map of strings."""
         whole = _record(mcap.Metadata(name, dict(mapping)))
-        self._summary[METADATA_INDEX].append(_record(mcap.MetadataIndex(self.position, len(whole), name)))
+        self._summarise(METADATA_INDEX, _record(mcap.MetadataIndex(self.position, len(whole), name)))
         self._write(whole)
 
     def chunk(
@@ -115,7 +121,7 @@ class Container:
             places[channel] = self.position + len(chunk) + len(indexes)
             indexes += _message_index(channel, times, offsets)
             self._counts[channel] += len(times)
-        self._summary[CHUNK_INDEX].append(_record(mcap.ChunkIndex(
+        self._summarise(CHUNK_INDEX, _record(mcap.ChunkIndex(
             len(chunk), self.position, "zstd", len(packed), last, len(indexes), places, first, len(content))))
         self._write(chunk + indexes)
         self._first_ns = first if self._first_ns is None else min(self._first_ns, first)
@@ -124,17 +130,17 @@ class Container:
     def finish(self) -> None:
         """Write the end of the data, the summary that makes the file seekable, and the footer."""
         self._write(_record(mcap.DataEnd(self._crc)))
-        start, counts = self.position, {opcode: len(found) for opcode, found in self._summary.items()}
-        self._summary[STATISTICS].append(_record(mcap.Statistics(
+        start, crc, offsets, counts = self.position, 0, b"", self._records
+        self._summary[STATISTICS] += _record(mcap.Statistics(
             counts[ATTACHMENT_INDEX], counts[CHANNEL], self._counts, counts[CHUNK_INDEX], sum(self._counts.values()),
-            self._last_ns, self._first_ns or 0, counts[METADATA_INDEX], counts[SCHEMA])))
-        summary, offsets = bytearray(), b""
-        for opcode, found in self._summary.items():
-            if whole := b"".join(found):
-                offsets += _record(mcap.SummaryOffset(opcode, start + len(summary), len(whole)))
-                summary += whole
-        summary += offsets + _record(mcap.Footer(start, start + len(summary), 0))[:-4]
-        self._write(bytes(summary) + struct.pack("<I", zlib.crc32(summary)) + MAGIC)
+            self._last_ns, self._first_ns or 0, counts[METADATA_INDEX], counts[SCHEMA]))
+        for opcode, whole in self._summary.items():  # each in one piece: an hour has 7 MB of chunk indexes
+            if whole:
+                offsets += _record(mcap.SummaryOffset(opcode, self.position, len(whole)))
+                crc = zlib.crc32(whole, crc)
+                self._write(whole)
+        end = offsets + _record(mcap.Footer(start, self.position, 0))[:-4]
+        self._write(end + struct.pack("<I", zlib.crc32(end, crc)) + MAGIC)
 
 
 def _record(record: Any) -> bytes:
