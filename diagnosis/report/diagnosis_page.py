@@ -21,9 +21,10 @@ from trial.report import bench_drawing
 from trial.report.page import NamedText, Page, Tile, number
 from trial.report.words import words
 
-VERDICTS: Final = ("Changed:", "The trial agrees", "The data depart")
+VERDICTS: Final = ("Changed:", "The trial ")
 """Beginnings of the sentence of the headline that states the verdict."""
-TO_DO: Final = ("It is at ", "Look at the ", "To separate", "Mend ", "bowden identify", "Run bowden identify")
+TO_DO: Final = ("It is at ", "Look at the ", "To separate", "Mend ", "bowden discover", "bowden identify",
+                "Run bowden identify")
 """Beginnings of the sentences of the headline that state the next step."""
 KINDS: Final = {"none": "good", "found": "warn", "ambiguous": "warn", "unexplained": "bad", "refused": "bad"}
 

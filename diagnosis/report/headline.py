@@ -182,10 +182,18 @@ def none_sentence(errors: Errors, of_rig: bool = False) -> str:
 
 
 def _places(unexplained: Mapping[str, Mapping[str, float]], errors: Errors | None) -> str:
-    """Return where the best model has a lack of fit: each output with its error and that of reference trials."""
+    """Return where the best model has a lack of fit: each output with its error and that of reference trials.
+
+    If the session's constants reach the error of reference trials, but far outside their scatter, the text states that.
+    """
     unit = "N" if errors is None else errors.unit
-    return ", ".join(f"{NAMES.get(name, name)} is missed by {_amount(row['rms'], unit)}, where reference trials miss "
-                     f"each other by {_amount(row['floor'], unit)}" for name, row in unexplained.items())
+    strained = errors is not None and not errors.within_scatter()
+    return ", ".join(
+        f"{NAMES.get(name, name)} is missed by {_amount(row['rms'], unit)}, "
+        + (f"but only with constants up to {errors.sigma:.0f} σ outside their scatter between sessions"
+           if strained and errors is not None and row["rms"] <= row["floor"] else
+           f"where reference trials miss each other by {_amount(row['floor'], unit)}")
+        for name, row in unexplained.items())
 
 
 def _limits(found: Findings) -> Iterator[str]:

@@ -13,6 +13,7 @@ from diagnosis.findings import Findings
 from estimation.simulation import directions
 from physics.laws import Array
 from trial.report.page import number
+from trial.report.words import words
 
 
 def joined(parts: Sequence[SignalResiduals], name: str) -> tuple[Array, Array, Array]:
@@ -67,12 +68,13 @@ def where(found: Findings) -> str:
     name = max(above, key=lambda relation: above[relation])
     figures, parts = found.relations[name], found.traces[name]
     unit, places = figures.unit, []
-    for signal, words in (("gait_percent", "{} … {} % of gait"), ("tension_start_n", "START at {} … {} N")):
+    for signal, place in (("gait_percent", "{} … {} % of gait"), ("tension_start_n", "START at {} … {} N")):
         along, _, after = joined(parts, signal)
         if along.size and float(np.ptp(along)) > 0.0:
-            places.append(words.format(*(number(end, 2) for end in concentrated(along, after))))
-    told = (f"What is left is largest in {name}: {number(figures.rmse_last or 0.0, 3)} {unit} on cycles that no fit "
-            f"has seen, {number(above[name], 2)} times what healthy trials leave ({number(figures.floor, 3)} {unit}). "
+            places.append(place.format(*(number(end, 2) for end in concentrated(along, after))))
+    told = (f"The residual is largest in {words(name)}: {number(figures.rmse_last or 0.0, 3)} {unit} on cycles that no "
+            f"fit has seen, {number(above[name], 2)} times that of reference trials ({number(figures.floor, 3)} "
+            f"{unit}). "
             f"Half of its square lies at {' and '.join(places) or 'no place that a column tells'}.")
     after = np.concatenate([p.after for p in parts])
     ways = {word: number(rms(after[mask]), 3) for word, mask in by_direction(parts).items() if mask.any()}

@@ -125,6 +125,16 @@ def test_first_come_error_cause_ambiguity_set_and_next_step(found: Findings, mea
     assert first == sorted(first)
 
 
+def test_a_page_without_a_cause_begins_with_what_departs_and_ends_with_what_to_do(
+        found: Findings, measured: Table) -> None:
+    alone = dataclasses.replace(found, verdict="unexplained", causes=[], rivals=[], experiment=None, unexplained={
+        "tension_end_n": {"misfit": 3.0, "rms": 0.9, "floor": 0.2}})
+    html = build(alone, [measured], []).html().partition("<main>")[2]
+    assert re.search(r'<p class="lead">The trial departs from the model in a way that no effect', html)
+    assert re.search(r"What to do</h\d>\s*<p[^>]*>bowden discover, with the same trials", html)
+    assert f"The residual is largest in {words('tension_start_n')}: " in html
+
+
 def test_constants_that_moved_have_prefixed_units(found: Findings) -> None:
     moved = {"cable_compliance": {"from": 1.68e-5, "to": 2.93e-5, "unit": "m/N", "sessions": 4.0},
              "load": {"from": 0.04, "to": -0.07, "unit": "", "sessions": -5.0}}
@@ -149,6 +159,8 @@ def test_no_name_of_a_program_is_in_the_first_lines(found: Findings, effect: str
         "misfit": 3.0, "rms": 0.9, "floor": 0.2}}}, "no effect of the catalogue explains: END is missed by 0.90 N"),
     ({"unexplained": {"tension_end_n": {"misfit": 3.0, "rms": 0.4, "floor": 0.2}}},
      "Something else differs, too: END is missed by 0.40 N, where reference trials miss each other by 0.20 N."),
+    ({"unexplained": {"tension_end_n": {"misfit": 3.0, "rms": 0.15, "floor": 0.2}}},
+     "END is missed by 0.15 N, but only with constants up to 8 σ outside their scatter between sessions."),
     ({"verdict": "refused", "causes": [], "warnings": ["knee is not sampled."]}, "knee is not sampled."),
     ({"undecided": "step did not decide between A, B: both meet it."}, "Step did not decide between A, B: both"),
     ({"bench": None}, "The simulation of this rig misses"),
