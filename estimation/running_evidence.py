@@ -6,10 +6,13 @@ sizes s ~ N(0, 1) along the columns E and the sums over cycles A = ΣHᵀWH, B =
     M = P⁻¹ + A,   x = M⁻¹b,   G = C − BᵀM⁻¹B,   g = d − BᵀM⁻¹b        ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G)
 
 An effect that begins in cycle c has the sums of B, C, d from c on.  Its evidence is the mean over a beginning before
-the trial (half of the prior) and in each later cycle.  The verdict after the last cycle is the diagnosis of the file.
+the trial (half of the prior) and in each later cycle.
+
+The linear model only screens: its null is no mode, since early cycles stay linearised where the null was then, and what
+it misses in each cycle alike counts in each anew.  From the detection threshold on, the cycles are diagnosed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any, Final, NamedTuple
@@ -37,10 +40,11 @@ MOTION_COLUMNS: Final = ("time_s", "servo_position_m", "knee_angle_rad", "tensio
 class WatchVerdict:
     """Suspicion after one gait cycle.
 
-    `suspected`: effects not separated from the best one, best first, empty below the threshold of a name; `nats`: log
-    Bayes factor of the best effect, named or not, `best`; `since`: cycle in which it most likely began (0: before the
-    trial).  `end_error_n`: RMS of END as simulated with the suspected effect, against the desired force where it is
-    recorded, else against the reference condition; `cost_percent`: the same beyond `reference_n`, of the peak.
+    `suspected`: effects that the diagnosis of the cycles names, best first; `nats`: log Bayes factor of the best effect
+    `best`, by the diagnosis if it is suspected, else by the linear model; `since`: cycle in which it most likely began
+    (0: before the trial).  `end_error_n`: RMS of END as simulated with the suspected effect, against the desired force
+    where it is recorded, else against the reference condition; `cost_percent`: the same beyond `reference_n`, of the
+    peak.
     """
 
     cycle: int
@@ -57,11 +61,15 @@ class WatchVerdict:
 
 
 class Naming(NamedTuple):
-    """Rule by which an effect is named: threshold, nats; share of the best log Bayes factor from which an
-    effect is in the ambiguity set."""
+    """Rule by which an effect is named.
+
+    `threshold`: log Bayes factor of the linear model, nats, from which cycles are diagnosed.  `diagnosed`: function of
+    a number of latest cycles; it returns the effects that their diagnosis names, best first, with their log Bayes
+    factors, or None for cycles that are too few.
+    """
 
     threshold: float
-    set_share: float
+    diagnosed: Callable[[int], Mapping[str, float] | None]
 
 
 class RunningEvidence:
@@ -81,6 +89,8 @@ class RunningEvidence:
         count = self._size + self._variants[-1].at.stop
         self._whole = Sums(np.zeros((count, count)), np.zeros(count))
         self._earlier = 0
+        self._named: Mapping[str, float] = {}
+        self._diagnosed = 0
 
     def add(self, cycle: int, window: Mapping[str, Array], begins_s: float) -> WatchVerdict | None:
         """Add the gait cycle `cycle` and return the suspicion; None for a cycle too short to give data.
@@ -134,11 +144,27 @@ class RunningEvidence:
         order = sorted(rated, key=lambda name: -rated[name][0])
         best = order[0]
         nats, since, part, sizes = rated[best]
-        named = nats >= self.naming.threshold
-        suspected = tuple(n for n in order if named and rated[n][0] >= self.naming.set_share * nats)
-        error, peak = self._end_error(window, recording, inside, part if named else None, sizes)
+        named = self._diagnosis(since) if nats >= self.naming.threshold else {}
+        if named:
+            best = next(iter(named))
+            nats, since, part, sizes = (named[best] or nats, *rated.get(best, rated[order[0]])[1:])
+        error, peak = self._end_error(window, recording, inside, part if part.effect in named else None, sizes)
         cost = np.sqrt(max(error**2 - self.reference_n**2, 0.0)) / peak if peak > 0.0 else 0.0
-        return WatchVerdict(cycle, suspected, best, nats, since and since + self._earlier, error, 100.0 * float(cost))
+        return WatchVerdict(cycle, tuple(named), best, nats, since and since + self._earlier, error,
+                            100.0 * float(cost))
+
+    def _diagnosis(self, since: int, grown: float = 4.0 / 3.0) -> Mapping[str, float]:
+        """Return the effects that the diagnosis of the cycles from number `since` on names, with log Bayes factors.
+
+        The cycles are diagnosed again once the trial is `grown` times as long, or if the change began later, so that
+        the cost of a cycle does not grow with the trial.
+        """
+        count = self._earlier + len(self._cycles)
+        if count >= grown * self._diagnosed or (since and since + self._earlier >= self._diagnosed):
+            found = self.naming.diagnosed(len(self._cycles) - since)
+            if found is not None:
+                self._named, self._diagnosed = found, count
+        return self._named
 
     def _foremost(self, inner: Any, most: int = 6) -> list[EffectColumns]:
         """Return the `most` variants with the most evidence by the whole trial, and as many by the latest cycle."""

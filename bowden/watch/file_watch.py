@@ -1,4 +1,4 @@
-"""A growing trial watched: reference trials fitted once, evidence by gait cycle, the diagnosis of the whole at its end.
+"""A growing trial watched: evidence by gait cycle, the diagnosis of suspected cycles, and of the whole at its end.
 
 The rule of this file: it reads one file and sends nothing to a bus; a stop is asked for by its answer alone.
 """
@@ -11,10 +11,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnosis.evidence.decision import SET_SHARE, threshold
+from diagnosis.evidence.decision import threshold
 from diagnosis.finder import Finder
 from diagnosis.findings import Findings
-from estimation.data import windows
+from estimation.data import table, windows
 from estimation.data.table import Table
 from estimation.joint_fit import fit_reference
 from estimation.likelihood_data import SIGNALS, PathRecording
@@ -31,11 +31,15 @@ LEAD_S: Final = 2.5
 
 
 class GaitWindow(NamedTuple):
-    """One complete gait cycle: its number, columns from up to `LEAD_S` before it, and the time, s, it begins at."""
+    """One complete gait cycle: its number, columns from up to `LEAD_S` before it, and the time, s, it begins at.
+
+    `rows`: of the cycle, with all columns.
+    """
 
     cycle: int
     columns: dict[str, Array]
     begins_s: float
+    rows: Array
 
 
 class GaitWindows:
@@ -99,17 +103,43 @@ class GaitWindows:
         columns["time_s"] = columns["time_s"] - self._first_s
         begins_s = float(time[begin] - self._first_s)
         self._last = number
+        rows = self._kept[begin:end].copy()
         kept = int(np.searchsorted(self._kept[:, self._place["time_s"]], time[-1] - LEAD_S))
         self._kept, self._numbers = self._kept[kept:], self._numbers[kept:]
-        return GaitWindow(int(number), columns, begins_s)
+        return GaitWindow(int(number), columns, begins_s, rows)
+
+
+class LatestCycles:
+    """Rows of the latest gait cycles, as many as a diagnosis uses, and what their diagnosis names.
+
+    `names`: of the columns, "" for one of another force path.  `finder`: diagnosis with the reference trials.
+    """
+
+    def __init__(self, source: str, names: Sequence[str], finder: Finder) -> None:
+        self._source, self._names, self._finder = source, names, finder
+        self._cycles: list[Array] = []
+
+    def add(self, rows: Array, most_s: float = 120.0) -> None:
+        """Add the rows of one cycle; cycles that end more than `most_s` before its last row are dropped."""
+        time = self._names.index("time_s")
+        self._cycles = [*(c for c in self._cycles if rows[-1, time] - c[0, time] <= most_s), rows]
+
+    def diagnosed(self, count: int) -> dict[str, float] | None:
+        """Return the effects that a diagnosis of the latest `count` cycles names, best first, with log Bayes factors.
+
+        None if the diagnosis refuses them, as it does fewer than three cycles.
+        """
+        rows = np.concatenate(self._cycles[-count:])
+        columns = {name: rows[:, k] for k, name in enumerate(self._names) if name}
+        found = self._finder.diagnose([table.table(self._source, table.recorded(columns))])
+        nats = (found.evidence or {}).get("log_bayes_factors", {})
+        return None if found.verdict == "refused" else {name: nats.get(name, 0.0) for name in found.rivals}
 
 
 ANY: Final = "any"
 """Word for every effect in --stop-on."""
 STOP_PERCENT: Final = 2.0
 """Error of END, % of the peak, that a named effect must cost for a stop."""
-NAMING: Final = Naming(threshold(PATH_MODEL), SET_SHARE)
-"""Rule of the diagnosis by which a suspicion names effects."""
 DRIFT_S: Final = 20.0
 """Time, s, over which a running trial's drifts are counted, since its end is unknown yet."""
 
@@ -147,6 +177,7 @@ class FileWatch:
         self._windows: GaitWindows | None = None
         self._evidence: dict[tuple[str, ...], RunningEvidence] = {}
         self._of(tuple(n for n in SIGNALS if all(n in t for t in self._tables)))
+        self._finder = Finder(session_sd=bench.session_sd).fit([windows.read(p, bench.path) for p in bench.healthy])
 
     @property
     def closed(self) -> bool:
@@ -171,11 +202,13 @@ class FileWatch:
             own = [name if self._bench.path is None else of_path(name, self._bench.path) or ""
                    for name in self._file.columns]
             self._windows = GaitWindows(own, _period_s(self._tables))
+            self._latest = LatestCycles(str(self._file.path), own, self._finder)
         return self._windows.add(rows)
 
     def _judged(self, window: GaitWindow) -> Iterator[WatchVerdict]:
         outputs = tuple(n for n in SIGNALS if n in window.columns and all(n in t for t in self._tables))
-        found = self._of(outputs).add(*window)
+        self._latest.add(window.rows)
+        found = self._of(outputs).add(*window[:3])
         if found is not None:
             yield found
 
@@ -191,9 +224,7 @@ class FileWatch:
 
     def diagnosis(self) -> Findings:
         """Return the diagnosis of the whole file, as `bowden diagnose` gives it."""
-        references, watched = ([windows.read(file, self._bench.path) for file in files]
-                               for files in (self._bench.healthy, [self._file.path]))
-        return Finder(session_sd=self._bench.session_sd).examine(references).diagnose(watched)
+        return self._finder.diagnose([windows.read(self._file.path, self._bench.path)])
 
     def _of(self, outputs: tuple[str, ...]) -> RunningEvidence:
         """Return the running evidence from these outputs; other outputs need another fit of the reference trials."""
@@ -203,7 +234,8 @@ class FileWatch:
             with threadpool_limits(1, user_api="blas"):
                 recordings = [PathRecording(_only(t, outputs)) for t in self._tables]
                 fit = fit_reference(PATH_MODEL, recordings, self._bench.session_sd)
-            self._evidence[outputs] = RunningEvidence(fit, DRIFT_S, NAMING, _missed_n(self._tables))
+            naming = Naming(threshold(PATH_MODEL), lambda count: self._latest.diagnosed(count))
+            self._evidence[outputs] = RunningEvidence(fit, DRIFT_S, naming, _missed_n(self._tables))
         return self._evidence[outputs]
 
 
@@ -211,7 +243,8 @@ def told(found: WatchVerdict) -> str:
     """Return a suspicion as one line for a terminal."""
     error = f"END error {found.end_error_n:.2f} N"
     if not found.suspected:
-        return f"cycle {found.cycle}: nothing suspected ({found.best} {found.nats:.0f} nats); {error}"
+        said = "nothing suspected" if found.nats < threshold(PATH_MODEL) else "no diagnosis names a cause"
+        return f"cycle {found.cycle}: {said} ({found.best} {found.nats:.0f} nats by the linear model); {error}"
     since = "before the trial" if found.since == 0 else f"cycle {found.since}"
     return (f"cycle {found.cycle}: suspected {', '.join(found.suspected)}; {found.nats:.0f} nats, "
             f"since {since}; {error}, {found.cost_percent:.1f} % of the peak beyond the reference")

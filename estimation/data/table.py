@@ -33,6 +33,8 @@ AGE_SUFFIX: Final = "_age_ns"
 """Suffix of a column with the staleness of a signal, ns."""
 NOMINAL: Final = "nominal"
 """Name of the packaged calibration in the metadata of a trial; it was measured on no bench."""
+WORDS: Final = ("servo_statusword", "knee_statusword")
+"""Columns that show whether a drive moves the servo and the knee."""
 DEGREE_ALIAS: Final = "knee_angle_deg"
 """Column that is read as `knee_angle_rad`, converted from degrees."""
 Rows = NDArray[np.intp]
@@ -230,14 +232,21 @@ def _read_mcap(path: Path, joint: str | None, choose: RowChoice | None) -> Table
     trial: TrialFile = open_file(path)
     if joint is not None or path_names(trial):
         trial = one_path(trial, joint)
-    words = [name for name in ("servo_statusword", "knee_statusword") if name in trial.units]
+    words = [name for name in WORDS if name in trial.units]
     read = _columns(trial, [*(name for name in trial.units if name in UNITS or name.endswith(AGE_SUFFIX)), *words],
                     None if choose is None else _chosen(trial, choose))
-    columns = {name: values for name, values in read.items() if name not in words and not np.isnan(values).all()}
-    if len(words) == 2 and np.isnan(read[words[1]]).all() and not np.isnan(read[words[0]]).all():
-        columns.pop("knee_target_rad", None)  # a request to a person who moves the knee; no drive follows it
-    made = table(str(path), columns, _carried_calibration(trial))
+    made = table(str(path), recorded(read), _carried_calibration(trial))
     return replace(made, experiment=trial.metadata.get("experiment", ""))
+
+
+def recorded(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the columns of a trial's rows without empty ones, without statuswords, and without a request to a person.
+    """
+    servo, knee = (columns.get(name) for name in WORDS)
+    kept = {name: values for name, values in columns.items() if name not in WORDS and not np.isnan(values).all()}
+    if servo is not None and knee is not None and np.isnan(knee).all() and not np.isnan(servo).all():
+        kept.pop("knee_target_rad", None)  # a request to a person who moves the knee; no drive follows it
+    return kept
 
 
 def _chosen(trial: TrialFile, choose: RowChoice) -> Rows | None:
