@@ -8,8 +8,8 @@ sizes s ~ N(0, 1) along the columns E and the sums over cycles A = ΣHᵀWH, B =
 An effect that begins in cycle c has the sums of B, C, d from c on.  Its evidence is the mean over a beginning before
 the trial (half of the prior) and in each later cycle.
 
-The linear model only screens: its null is no mode, since early cycles stay linearised where the null was then, and what
-it misses in each cycle alike counts in each anew.  From the detection threshold on, the cycles are diagnosed.
+The linear model only screens.  Its null is no mode, since early cycles stay linearised where the null was then.  Its
+error in each cycle alike counts in each anew.  From the detection threshold on, the cycles are diagnosed.
 """
 
 from collections.abc import Callable, Mapping
@@ -156,8 +156,8 @@ class RunningEvidence:
     def _diagnosis(self, since: int, grown: float = 4.0 / 3.0) -> Mapping[str, float]:
         """Return the effects that the diagnosis of the cycles from number `since` on names, with log Bayes factors.
 
-        The cycles are diagnosed again once the trial is `grown` times as long, or if the change began later, so that
-        the cost of a cycle does not grow with the trial.
+        The cycles are diagnosed again once the trial is `grown` times as long, or if the change began later.  So the
+        cost of a cycle does not grow with the trial.
         """
         count = self._earlier + len(self._cycles)
         if count >= grown * self._diagnosed or (since and since + self._earlier >= self._diagnosed):

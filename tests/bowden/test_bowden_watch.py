@@ -51,6 +51,7 @@ def test_the_diagnosis_after_the_last_cycle_is_that_of_the_file(place: Path, bow
     _, out, _ = bowden("diagnose", place / "whole.mcap", "--healthy", place / "good.mcap",
                        "--json")
     offline = json.loads(out)
+    assert "presliding" in offline["class"]
     told = found["watch"]["diagnosis"]
     assert (told["verdict"], told["class"], told["causes"]) == (offline["verdict"], offline["class"],
                                                                 offline["causes"])
