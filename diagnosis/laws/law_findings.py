@@ -11,14 +11,14 @@ from diagnosis.evidence.held_out import HeldOut, blocks_of
 from diagnosis.laws.law_result import Laws, Picture
 from diagnosis.laws.law_search import MOST_TERMS, WORSE, Candidate, LawSearch
 from estimation.data.table import Table
-from estimation.posterior import Gaussian, PosteriorMode, SessionData
+from estimation.posterior import PosteriorMode, SessionData
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 from physics.terms import MODULATIONS
 
 CLOSE_CALL: Final = 0.8
-"""Evidence, relative to the best candidate's, from which held-out cycles decide: it is linear, and off by as much."""
+"""Evidence, relative to the best candidate's, from which fits decide: a screen's is linear, and off by as much."""
 TRIED: Final = 3
 """Candidates for the first term that are fitted and tested on held-out cycles; of a further term the foremost alone,
 since each of them costs another screen for swaps."""
@@ -41,25 +41,23 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     def figures(before: Array, after: Array) -> dict[str, Figures]:
         return HeldOut(observed, reference.missed(observed), before, after, blocks).figures(reference)
 
-    least = least_fall(reference, observed, search.prior)
     while len(chosen) < MOST_TERMS:
         offers = search.further(chosen, at)
-        # the evidence is linear and of all cycles, so that held-out cycles decide between nearly equal candidates
+        # the evidence of a screen is linear, so that fits decide between nearly equal candidates
         tried: list[tuple[bool, float, int, list[Candidate], PosteriorMode]] = []
         for offer in [c for c in offers if c.nats >= CLOSE_CALL * offers[0].nats][:1 if chosen else TRIED]:
             more = search.swapped([*chosen, offer], at) if chosen else [offer]
             there = search.fitted(more, at if chosen else None)
-            errors = figures(*(search.predicted(*fit) for fit in ((chosen, base), (more, there))))
-            if worse(errors):
-                errors = figures(*(search.predicted(*fit, True) for fit in ((chosen, base), (more, there))))
-            judged = {name: errors[name] for name in least}
-            fault = worse(errors) or unconfirmed(judged, least)
+            before, after = (search.predicted(*fit) for fit in ((chosen, base), (more, there)))
+            if worse(figures(before, after)):
+                before, after = (search.predicted(*fit, True) for fit in ((chosen, base), (more, there)))
+            errors, least = figures(before, after), search.errors.least_falls(before - after)
+            fault = worse(errors) or unconfirmed(errors, least)
             # where the model is wrong, any bump that fits its error takes a little of the departure
             back = not chosen and not worse(errors) and departure(observed, there) <= min(
                 DOUBTED, search.departed / DOUBTED) and search.departed > DOUBTED
             if not fault or back:
-                left = sum((f.rmse_after or 0.0)**2 / least[name] for name, f in judged.items())
-                tried.append((bool(fault), -there.log_evidence if fault else left, len(tried), more, there))
+                tried.append((bool(fault), -there.log_evidence, len(tried), more, there))
         if not tried:
             break
         more, there = min(tried)[3:]
@@ -80,28 +78,17 @@ def worse(errors: Mapping[str, Figures]) -> str:
                  if (f.rmse_after or 0.0) > WORSE * (f.rmse_session or 0.0)), "")
 
 
-def unconfirmed(judged: Mapping[str, Figures], least: Mapping[str, float]) -> str:
+def unconfirmed(errors: Mapping[str, Figures], least: Mapping[str, float]) -> str:
     """Return why a term does not gain, by errors on held-out cycles without it (`session`) and with it; "" if it does.
 
-    `least`: fall of the squared error that a term must reach in one judged signal, N².
+    `least`: fall of the squared error that a term must exceed in one judged signal, N².
     """
-    if all((f.low or 0.0) <= 0.0 for f in judged.values()):
+    gaining = {name: errors[name] for name in least if (errors[name].low or 0.0) > 0.0}
+    if not gaining:
         return "no gain on held-out cycles that whole cycles confirm"
-    if all((f.rmse_session or 0.0)**2 - (f.rmse_after or 0.0)**2 < least[name] for name, f in judged.items()):
-        return "the best term gains less than the variance of model error and discrepancy"
+    if all((f.rmse_session or 0.0)**2 - (f.rmse_after or 0.0)**2 < least[name] for name, f in gaining.items()):
+        return "the best term gains less than the variance of model error, and of discrepancy where it repeats"
     return ""
-
-
-def least_fall(reference: ReferenceFit, observed: SessionData, prior: Gaussian) -> dict[str, float]:
-    """Return the variance of model error and discrepancy in the trial's motion by judged signal, N².
-
-    A discrepancy of the session repeats in each cycle, so that held-out cycles confirm a term that describes it.
-    """
-    growth, count = float(np.mean(observed.growth)), observed.features.shape[1]
-    repeats = np.einsum("nk,kl,nl->n", observed.features, prior.covariance[-count:, -count:], observed.features)
-    return {name: growth * float(np.mean(reference.model_error[reference.outputs.index(name)])) + float(
-        np.mean(observed.part(repeats, observed.outputs.index(name))))
-        for name in observed.model.judged if name in observed.outputs}
 
 
 def _picture(search: LawSearch, chosen: Sequence[Candidate], at: PosteriorMode, k: int) -> Picture:

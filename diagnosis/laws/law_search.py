@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, departure
 from diagnosis.laws.library import VIBRATING, Candidates, candidates, carriers_of
 from diagnosis.laws.linear_model import FoldedModel, LinearModel
+from diagnosis.laws.model_error import ModelErrors
 from estimation.modulated_recording import ModulatedRecording, modulated
 from estimation.posterior import Gaussian, PosteriorMode, SessionData, begun, mode, screened
 from estimation.reference_fit import ReferenceFit
@@ -56,9 +57,9 @@ class LawSearch:
     """Search of terms in the trials of one session, from the fit `base` of constants and discrepancy.
 
     `blocks`: cycle number of each bin, by trial.  `variants`: effects of the catalogue that stand beside the terms.
-    `departed`: departure of the session in `base`.  `first`: mode where the first term is sought, and whose courses
-    modulate: the reference condition if the session's constants are outside their scatter, since they then hide the
-    form of the change that they absorbed, else `base`.
+    `departed`: departure of the session in `base`.  `errors`: errors of the model, which stand beside the terms, too.
+    `first`: mode where the first term is sought, and whose courses modulate: the reference condition if the session's
+    constants are outside their scatter, since they then hide the form of the change that they absorbed, else `base`.
     """
 
     observed: SessionData
@@ -69,6 +70,7 @@ class LawSearch:
     base: PosteriorMode = field(init=False)
     departed: float = field(init=False)
     first: PosteriorMode = field(init=False)
+    errors: ModelErrors = field(init=False)
     carriers: dict[str, Carrier] = field(init=False)
     modulated: list[ModulatedRecording] = field(init=False)
     library: Candidates = field(init=False)
@@ -85,6 +87,7 @@ class LawSearch:
         self.departed = departure(self.observed, self.base)
         self.first = self.base if self.variants or self.departed <= DOUBTED else mode(
             self.observed, self.prior, start=self.prior.mean, descends=False)
+        self.errors = ModelErrors(self.observed, self.prior, self.reference, self.blocks)
         model = self.observed.model
         self.modulated = [modulated(model, self.first.q, trial) for trial in self.observed.trials]
         self.carriers = carriers_of(model, self.observed.outputs)
@@ -235,9 +238,11 @@ class LawSearch:
     def _beside(self, at: PosteriorMode, fitted: Sequence[Candidate], others: Sequence[Candidate],
                 slopes: Mapping[str, Array]) -> LinearModel:
         """Return the linear model of all data at the mode `at`, which has the terms `fitted`, with the terms `others`.
+
+        It has the model's errors, too: what they may be has little evidence.
         """
         columns, sds = self.columns(slopes, others)
-        return self.folded(at, fitted).model(columns * sds)
+        return self.folded(at, fitted).model(np.concatenate([columns * sds, self.errors.columns], axis=1))
 
     # -- held-out errors -----------------------------------------------------------------------------------------------
 

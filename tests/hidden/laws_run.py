@@ -28,7 +28,7 @@ from benchmarks.frame import DOCS, markdown, put
 from diagnosis.compared_signals import Figures
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.held_out import HeldOut, blocks_of
-from diagnosis.laws.law_findings import discover, least_fall, unconfirmed
+from diagnosis.laws.law_findings import discover, unconfirmed
 from diagnosis.laws.law_search import LawSearch
 from estimation.data.table import Table, table
 from estimation.posterior import begun, extra_constants, mode, screened
@@ -156,9 +156,8 @@ def row(kind: str, asked: Question) -> dict[str, Any]:
         own, determined = "", ""
         if asked.effects:
             search = LawSearch(observed, reference.prior_of(observed), reference, blocks_of(tables, observed.trials))
-            errors, least = _own(search, tables, asked.effects[0]), least_fall(reference, observed, search.prior)
-            own = f"{weighed(errors, 'after'):.4g}"
-            determined = str(int(not unconfirmed({n: errors[n] for n in least}, least)))
+            errors, fault = _own(search, tables, asked.effects[0])
+            own, determined = f"{weighed(errors, 'after'):.4g}", str(int(not fault))
         elif name not in ADDED and made.clean.any():
             exact = {**columns, **{n: columns[n] - clean for n, clean in zip((START, END), made.clean, strict=True)}}
             own = f"{weighed(discover_none(finder, table('trial', exact)), 'session'):.4g}"
@@ -183,16 +182,20 @@ def _noise(given: Table, name: str) -> float:
     return float(own.noise_n[name])
 
 
-def _own(search: LawSearch, tables: Sequence[Table], effect: str) -> Mapping[str, Figures]:
-    """Return the held-out errors with the effect's own hypothesis, its likeliest variant, on the folds of a law."""
+def _own(search: LawSearch, tables: Sequence[Table], effect: str) -> tuple[Mapping[str, Figures], str]:
+    """Return the held-out errors with the effect's own hypothesis, and why it fails the test of a term.
+
+    The hypothesis is the likeliest variant; the folds are those of a law.
+    """
     base, observed = search.base, search.observed
     bench = observed.model.constants.named(search.prior.origin)
     fitted = [mode(observed, search.prior, [v], begun(base, v, screened(base, observed, v)[1]))
               for v in HYPOTHESES[effect].variants(bench)]
     at = max(fitted, key=lambda m: m.log_evidence)
     session, after = (search.predicted([], fit) for fit in (search.base, at))
-    return HeldOut(observed, search.reference.missed(observed), session, after,
-                   blocks_of(tables, observed.trials)).figures(search.reference)
+    errors = HeldOut(observed, search.reference.missed(observed), session, after,
+                     blocks_of(tables, observed.trials)).figures(search.reference)
+    return errors, unconfirmed(errors, search.errors.least_falls(session - after))
 
 
 def discover_none(finder: EvidenceFinder, given: Table) -> Mapping[str, Figures]:
