@@ -21,7 +21,8 @@ PARTS: Final = 50
 class ModelErrors:
     """Variances of discrepancy and model error in the trials of one session.
 
-    Parts of a trial without gait cycles are parts of its time: nothing in it is seen to repeat, or not to.
+    `columns`: 1σ of the errors that several data of a gait share, shape (data, errors).  In a trial without gait cycles
+    nothing is seen not to repeat: it has none, and the whole discrepancy counts against a term.
     """
 
     def __init__(self, observed: SessionData, prior: Gaussian, reference: ReferenceFit,
@@ -32,17 +33,26 @@ class ModelErrors:
         self._level = growth * np.array([np.mean(reference.model_error[reference.outputs.index(n)]) for n in outputs])
         self._discrepancy = np.einsum("nk,kl,nl->n", observed.features, prior.covariance[-count:, -count:],
                                       observed.features)
-        self._phases = self._numbered([_parts(trial.phase, b.size) for trial, b in zip(
-            observed.trials, blocks, strict=True)])
-        cycles = self._numbered(blocks)
+        gaits = [(trial.phase, block) for trial, block in zip(observed.trials, blocks, strict=True)]
+        self._phases, cycles = (self._numbered(parts) for parts in (
+            [None if p is None else np.minimum((p * PARTS).astype(np.intp), PARTS - 1) for p, _ in gaits],
+            [None if p is None else block for p, block in gaits]))
         self.columns: Array = np.concatenate([
             _shared(self._phases, self._discrepancy + self._level[self._phases % len(outputs)]),
             _shared(cycles, self._level[cycles % len(outputs)])], axis=1)
 
-    def _numbered(self, parts: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
-        """Return a number for the output and the part of each datum; `parts`: of each bin, by trial."""
-        count = len(self._observed.outputs)
-        return np.concatenate([(np.arange(count)[:, None] + count * part).ravel() for part in parts])
+    def _numbered(self, parts: Sequence[NDArray[np.intp] | None]) -> NDArray[np.intp]:
+        """Return a number for the output and the part of each datum; `parts`: of each bin, by trial.
+
+        None: each bin of the trial is a part.
+        """
+        count, numbers = len(self._observed.outputs), list[NDArray[np.intp]]()
+        first = 1 + max((int(part.max()) for part in parts if part is not None), default=0)
+        for part, trial in zip(parts, self._observed.trials, strict=True):
+            own = np.arange(first, first + trial.data.size // count) if part is None else part
+            numbers.append((np.arange(count)[:, None] + count * own).ravel())
+            first += own.size
+        return np.concatenate(numbers)
 
     def least_falls(self, change: Array) -> dict[str, float]:
         """Return the fall of the squared error that a term must exceed in one judged signal, N².
@@ -62,16 +72,9 @@ class ModelErrors:
         return least
 
 
-def _parts(phase: Array | None, count: int) -> NDArray[np.intp]:
-    """Return the part of the gait cycle of each of `count` bins; without a phase, the part of the trial."""
-    share = np.arange(count) / count if phase is None else phase
-    return np.minimum((share * PARTS).astype(np.intp), PARTS - 1)
-
-
 def _shared(numbers: NDArray[np.intp], variance: Array) -> Array:
-    """Return a column for each number: 1σ of an error that all its data share, of their mean `variance`."""
-    _, place = np.unique(numbers, return_inverse=True)
-    sd = np.sqrt(np.bincount(place, variance) / np.bincount(place))
-    columns = np.zeros((numbers.size, sd.size))
-    columns[np.arange(numbers.size), place] = sd[place]
-    return columns
+    """Return a column for each number of several data: 1σ of an error that they share, of their mean `variance`."""
+    _, place, counts = np.unique(numbers, return_inverse=True, return_counts=True)
+    sd = np.sqrt(np.bincount(place, variance) / counts)
+    several = np.flatnonzero(counts > 1)
+    return np.asarray((place[:, None] == several) * sd[several])

@@ -13,9 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.evidence.held_out import blocks_of
 from diagnosis.finder import Finder
 from diagnosis.findings import Findings
 from diagnosis.laws.law_result import Laws
+from diagnosis.laws.model_error import ModelErrors
 from estimation.data.table import Table
 from parameters import InputError
 from physics.plant import PlantParameters, imposed
@@ -138,6 +141,19 @@ def recorded() -> tuple[Finder, Table]:
 
 def changed(trial: Table, change: Change) -> Table:
     return dataclasses.replace(trial, columns={**trial.columns, "tension_end_n": change(trial)})
+
+
+@pytest.mark.exhaustive
+def test_a_change_that_repeats_in_each_cycle_must_exceed_the_discrepancy() -> None:
+    made = family.case(Job(8801, ()))
+    reference, observed, tables = EvidenceFinder(list(made.healthy)).observed([made.trial])
+    blocks, phase = blocks_of(tables, observed.trials), observed.trials[0].phase
+    assert phase is not None
+    errors = ModelErrors(observed, reference.prior_of(observed), reference, blocks)
+    pulse = np.exp(-0.5 * ((phase - 0.6) / 0.02) ** 2)
+    every, other = (np.tile(pulse * sign, len(observed.outputs)) for sign in (1.0, np.where(blocks[0] % 2, 1.0, -1.0)))
+    least = errors.least_falls(every)
+    assert all(least[name] > 1.5 * fall for name, fall in errors.least_falls(other).items())
 
 
 @pytest.mark.exhaustive
