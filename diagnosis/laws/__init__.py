@@ -7,9 +7,9 @@ The model, with y the measured data of a trial:
 A term is a sensitivity of the fitted model ∂f/∂q times a modulation m(t) (`physics.terms`), so that it keeps a unit and
 a part of the bench.  Modules, lowest first.
 
-    library      candidate terms of a trial: carriers × modulations
-    model_error  errors of the model that no term may describe
-    law_search   selection by evidence, refinement of the nonlinear parameters, held-out errors
+    library      candidate terms: carriers × modulations
+    model_error  errors that repeat or last
+    law_search   selection by evidence, refinement, held-out errors
     law_result   terms, three errors, runners-up
     law_findings confirmation on held-out cycles
 """
