@@ -300,7 +300,7 @@ def test_what_is_unexplained_is_told_by_place_and_size(found: Findings, measured
     strange = dataclasses.replace(found, verdict="unexplained", causes=[], rivals=[])
     html = build(strange, [measured], []).html()
     # the fixture's figures: 0.5 with what is named, over a floor of 0.25
-    assert "2 times what healthy trials leave" in html
+    assert "2 times that of reference trials" in html
     assert re.search(r"Half of its square lies at \d+ … \d+ % of gait and START at", html)
 
 
