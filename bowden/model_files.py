@@ -8,21 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from parameters import InputError
-from physics import bench_model
-from physics.bench_model import BenchModel, nominal
+from physics.bench_model import BenchModel, nominal, read
 
 __all__ = ["BenchModel", "Model", "given", "nominal", "read", "tables", "write"]
 
 Model = BenchModel | str | Path
 """A bench model, or the file that holds one."""
-
-
-def read(path: str | Path, *, bench: str = "") -> BenchModel:
-    """Read a model that `bowden identify`, `bowden diagnose` or `write` wrote; raises `InputError`.
-
-    `bench`: the bench that it must belong to; "" for any.
-    """
-    return bench_model.read(path, bench=bench)
 
 
 def write(model: BenchModel, path: str | Path, *, overwrite: bool = False) -> Path:

@@ -161,7 +161,10 @@ def of_calibration(known: Calibration) -> BenchModel:
 
 
 def read(path: str | Path, *, bench: str = "") -> BenchModel:
-    """Read a bench model; `bench` names the bench on the bus, "" accepts any.  Raises `InputError`."""
+    """Read a model that `bowden identify`, `bowden diagnose` or `write` wrote; raises `InputError`.
+
+    `bench`: the bench that it must belong to; "" for any.
+    """
     tables = read_toml(Path(path))
     for name in tables:
         if name not in TABLES:

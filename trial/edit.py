@@ -103,8 +103,8 @@ def _reader(path: Path) -> Iterator[Any]:
             yield reader
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of a recording.") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a directory; give the path of a recording.") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a recording.") from None
     except InputError:
         raise
     except (McapError, ValueError, KeyError) as error:

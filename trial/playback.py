@@ -106,9 +106,10 @@ class Playback:
 
     def watched(self, clock_ns: int) -> Playback:
         """Return the playback with a viewer present: READY starts, every other status stays."""
-        return self.told(clock_ns, PlayerControl.WATCH) if (self.status, PlayerControl.WATCH) in TRANSITIONS else self
+        starts = (self.status, PlayerControl.WATCH) in TRANSITIONS
+        return self.commanded(clock_ns, PlayerControl.WATCH) if starts else self
 
-    def told(
+    def commanded(
         self, clock_ns: int, control: PlayerControl, *, speed: float | None = None, seek_ns: int | None = None
     ) -> Playback:
         """Return the playback after a command; a seek is limited to the recording, a speed to 0.001 … 1000.

@@ -50,7 +50,7 @@ class BusSettings:
     own_bench: bool = False
 
     @property
-    def told(self) -> str:
+    def in_words(self) -> str:
         """Name of the bus in words that distinguish a simulation from a bench."""
         if self.simulated:
             return "SIMULATED"

@@ -196,7 +196,7 @@ def run(arguments: Sequence[str]) -> int:
         try:
             return ended.status(_run(arguments))
         except (KeyboardInterrupt, typer.Abort):
-            print(ended.told(), file=sys.stderr)
+            print(ended.sentence(), file=sys.stderr)
             return ended.status(ending.CTRL_C)
 
 

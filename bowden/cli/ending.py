@@ -29,7 +29,7 @@ class Ending:
         """Return the exit status of the process: 128 + signal number after a signal, else `status`."""
         return status if self.number is None or not status else 128 + self.number
 
-    def told(self) -> str:
+    def sentence(self) -> str:
         """Return which signal ended the command, as a sentence."""
         name = "" if self.number is None else f" by {signal.Signals(self.number).name}"
         return f"bowden: interrupted{name}."

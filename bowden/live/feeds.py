@@ -167,7 +167,7 @@ class TrialPlayer:
         seek_ns = None if at_s is None else self._playback.first_ns + round(min(max(at_s, 0.0), 1e9) * 1e9)
         with self._lock:
             self._sought = self._sought or seek_ns is not None
-            self._playback = self._playback.told(self._clock(), control, speed=speed, seek_ns=seek_ns)
+            self._playback = self._playback.commanded(self._clock(), control, speed=speed, seek_ns=seek_ns)
 
     def look(self) -> None:
         """Add the messages that are due; after a seek also those of the window before the position."""

@@ -6,6 +6,7 @@ import dataclasses
 import datetime
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from bowden import model_files
@@ -15,7 +16,7 @@ from bowden.deferred import on_first_use
 from bowden.model_files import BenchModel, Model
 from bowden.progress import SILENT, Progress
 from bowden.trials import force_paths, provenance, recorded, session
-from bowden.trials.recorded_trial import TemporaryFolder, Trial
+from bowden.trials.recorded_trial import Trial
 from parameters import InputError
 from physics.bench_model import of_calibration
 from physics.calibration import nominal, read, write
@@ -160,12 +161,11 @@ def identify(
             raise InputError("identify: trials are fitted without a bus; leave bus out, or the trials.")
         paths = [each.path if isinstance(each, Trial) else Path(each) for each in trials]
         return _model(again(what, paths, guess, date=date, progress=progress))
-    folder = TemporaryFolder()
-    recording = folder.path / "identification.mcap" if output is None else Path(output)
-    found, *others = perform(
-        what, configuration.read(None if config is None else Path(config)), guess, bus or buses.simulated(), recording,
-        date=date, gait=gait, overwrite=overwrite, progress=progress)
-    folder.remove()
+    with TemporaryDirectory(prefix="bowden-") as folder:
+        found, *others = perform(
+            what, configuration.read(None if config is None else Path(config)), guess, bus or buses.simulated(),
+            Path(output or f"{folder}/identification.mcap"), date=date, gait=gait, overwrite=overwrite,
+            progress=progress)
     if others:
         raise InputError("identify: the bench has several force paths, and a model has one; say bowden identify.")
     return _model(found)

@@ -82,7 +82,7 @@ class Playing:
     @property
     def ended(self) -> bool:
         """True if every frame was played."""
-        return self.player.status.value == "ended"
+        return self.player.status is PlayerStatus.ENDED
 
     def played(self) -> PlaybackResult:
         """Return the figures so far."""

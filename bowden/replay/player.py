@@ -230,11 +230,6 @@ class Player:
         """State of the playback."""
         return self._playback.status
 
-    @property
-    def speed(self) -> float:
-        """Ratio of recorded time to playing time."""
-        return self._playback.speed
-
     def position_ns(self, now_ns: int) -> int:
         """Position in the window."""
         return self._playback.position_ns(now_ns)
@@ -245,7 +240,7 @@ class Player:
         return (self.pass_ + played) / self._loops
 
     def _control(self, control: PlayerControl, now_ns: int) -> None:
-        self._playback = self._playback.at(self.position_ns(now_ns), now_ns).told(now_ns, control)
+        self._playback = self._playback.at(self.position_ns(now_ns), now_ns).commanded(now_ns, control)
 
     def play(self, now_ns: int) -> None:
         """Continue from the present position; start again at the first pass if every pass was played."""
@@ -265,7 +260,7 @@ class Player:
         if not 0 <= position_ns <= self.schedule.length_ns:
             raise InputError(f"seek to {position_ns / 1e9:g} s: expected 0 … {self.schedule.length_ns / 1e9:g} s.")
         self._next = int(np.searchsorted(self.schedule.times, position_ns, side="left"))
-        self._playback = self._playback.told(now_ns, PlayerControl.SEEK, seek_ns=position_ns)
+        self._playback = self._playback.commanded(now_ns, PlayerControl.SEEK, seek_ns=position_ns)
         restored = restoration(self.schedule, self._next)
         for frame, channel in restored:
             self._send(frame, channel)
@@ -282,11 +277,11 @@ class Player:
         if last:
             self.pass_ += 1
             self._next = 0
-        self._playback = self._playback.told(0, PlayerControl.STEP, seek_ns=self._times[self._next])
+        self._playback = self._playback.commanded(0, PlayerControl.STEP, seek_ns=self._times[self._next])
         return self._send_next()
 
     def _end(self) -> None:
-        self._playback = self._playback.told(0, PlayerControl.END, seek_ns=self.schedule.length_ns)
+        self._playback = self._playback.commanded(0, PlayerControl.END, seek_ns=self.schedule.length_ns)
 
     def _send_next(self) -> Frame:
         frame = frame_of(self.schedule.frames[self._next])

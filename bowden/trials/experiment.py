@@ -4,9 +4,12 @@ It turns plain arguments into the checked sections that `session` runs; the outp
 returned trial.
 """
 
+import weakref
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from bowden import model_files, output_files
@@ -15,7 +18,7 @@ from bowden.bench.buses import BusSettings
 from bowden.model_files import Model
 from bowden.progress import SILENT, Progress
 from bowden.trials import session
-from bowden.trials.recorded_trial import TemporaryFolder, Trial
+from bowden.trials.recorded_trial import Trial
 from parameters import InputError
 
 GAIT = "gait"
@@ -105,11 +108,11 @@ def run(
     if output is not None:
         figures = session.perform(prepared, Path(output), overwrite=overwrite, progress=progress)
         return Trial(figures["trial"] or output, figures)
-    folder = TemporaryFolder()
-    path = folder.path / "trial.mcap"
-    figures = session.perform(prepared, path, progress=progress)
-    trial = Trial(figures["trial"] or path, figures)
-    folder.hand_to(trial.recorded)
+    with ExitStack() as folder:
+        path = Path(folder.enter_context(TemporaryDirectory(prefix="bowden-")), "trial.mcap")
+        figures = session.perform(prepared, path, progress=progress)
+        trial = Trial(figures["trial"] or path, figures)
+        weakref.finalize(trial.recorded, folder.pop_all().close)
     return trial
 
 

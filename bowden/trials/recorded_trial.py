@@ -6,11 +6,12 @@ The file is the trial; everything here is read from it, and a temporary file is 
 from __future__ import annotations
 
 import shutil
-import tempfile
 import weakref
 from collections.abc import Mapping
+from contextlib import ExitStack
 from html import escape
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -141,15 +142,11 @@ def read_trial(path: str | Path, *, columns: str | Path | None = None) -> Trial:
     path = Path(path)
     if path.suffix.lower() == ".mcap" and columns is None:
         return Trial(path)
-    folder = TemporaryFolder()
-    try:
-        made = folder.path / f"{path.name.partition('.')[0]}.mcap"
+    with ExitStack() as folder:
+        made = Path(folder.enter_context(TemporaryDirectory(prefix="bowden-")), f"{path.name.partition('.')[0]}.mcap")
         import_file(path, made, mapped=None if columns is None else read_map(Path(columns)))
         trial = Trial(made)
-    except BaseException:
-        folder.remove()
-        raise
-    folder.hand_to(trial)
+        weakref.finalize(trial, folder.pop_all().close)
     return trial
 
 
@@ -172,20 +169,3 @@ def compare(a: Trial | str | Path, b: Trial | str | Path) -> TrialComparison:
     Signals are compared row by row, by gait phase or by time; `matched` names which. Raises `InputError`.
     """
     return compared(*((each if isinstance(each, Trial) else Trial(each)).recorded for each in (a, b)))
-
-
-class TemporaryFolder:
-    """A folder for files that nobody named: removed with the object it was handed to, or when the program ends."""
-
-    def __init__(self) -> None:
-        self.path = Path(tempfile.mkdtemp(prefix="bowden-"))
-        self._remove = weakref.finalize(self, shutil.rmtree, self.path, True)
-
-    def remove(self) -> None:
-        """Remove the trial's temporary folder now."""
-        self._remove()
-
-    def hand_to(self, owner: object) -> None:
-        """Keep the temporary folder until `owner` is deleted."""
-        self._remove.detach()
-        weakref.finalize(owner, shutil.rmtree, self.path, True)

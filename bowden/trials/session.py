@@ -314,7 +314,7 @@ def perform(
         # a logbook orders the sessions of a simulated bench by their days, others by the dates of recording
         day = {"day": str(prepared.chosen.arguments["day"])} if simulated else {}
         of_paths = force_paths.metadata(prepared.paths, network) if prepared.paths else {}
-        recorder = Recorder(output, metadata={"bus": prepared.chosen.told, **day,
+        recorder = Recorder(output, metadata={"bus": prepared.chosen.in_words, **day,
                                               **provenance.metadata(prepared.experiment, prepared.script), **of_paths},
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
                                          **force_paths.attachments(prepared.paths, prepared.sections),

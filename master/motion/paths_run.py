@@ -19,7 +19,6 @@ from master.cycle.run_safely import run_safely
 from master.cycle.shared_exchange import Answer, Running, Work, together
 from master.motion import gait, moves
 from master.motion.experiment_run import ExperimentSetup, PreparedExperiment, Result, result_of
-from master.motion.home import reached_n
 from master.motion.scripted_experiments import Scripted
 from master.network.link import Link
 from master.settings import Homing
@@ -66,11 +65,6 @@ class PlannedPaths:
     def pulls(self) -> str:
         """Return a sentence with the largest forces of the experiment."""
         return " ".join(f"{name}: {planned.pulls}" for name, planned in (self.scripts or self.planned).items())
-
-    @property
-    def homing_n(self) -> float:
-        """Return the most that a START reads while homing, N."""
-        return max(reached_n(planned.homing.top_n) for planned in self.planned.values())
 
     def run(self, link: Link, tap: can.BusABC | None, recorder: CycleSink | None) -> PathsResult:
         """Run the experiment on the bus of `link`."""

@@ -106,11 +106,6 @@ class KernelBus(SocketcanBus):
         whose = "adapter" if used else "kernel, since own frames have none of the adapter"
         return f"time stamps of the {whose}; {late}"
 
-    @property
-    def receive_buffer(self) -> int:
-        """Size of the receive queue that the kernel granted, bytes."""
-        return self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-
     def recv(self, timeout: float | None = None) -> KernelMessage | None:
         """Return the next message within `timeout` s; 0 returns only a message that waits.
 

@@ -17,6 +17,7 @@ from bowden.trials.recording import BusRecording
 from eds.bench.bench_network import Network, wire
 from parameters import InputError
 from trial.mcap_file import cdr
+from trial.mcap_file.container import MAGIC
 
 WIRE = wire(Network())
 PERIOD_NS = 1_000_000
@@ -102,6 +103,16 @@ def test_a_table_of_one_row_is_listed_and_neither_cut_nor_merged(
     for words in (("cut", "one.csv", "--to", "1"), ("merge", "one.csv", "one.csv")):
         status, _, err = bowden(*words, "-o", "a.mcap")
         assert (status, "not an MCAP file; give a recorded trial, or import the file first." in err) == (2, True), err
+
+
+@pytest.mark.parametrize("content", [b"hello", bytes(20), MAGIC, b""])
+def test_what_is_no_whole_recording_is_refused_in_one_sentence(
+    here: Path, bowden: Callable[..., tuple[int, str, str]], content: bytes
+) -> None:
+    (here / "x.mcap").write_bytes(content)
+    for words in (("info", "x.mcap"), ("cut", "x.mcap", "--from", "1", "-o", "part.mcap")):
+        status, out, err = bowden(*words)
+        assert (status, out, err.count("\n"), err.startswith("bowden: x.mcap: ")) == (2, "", 1, True), err
 
 
 def test_a_cut_takes_gait_cycles(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:

@@ -24,13 +24,13 @@ ALL = frozenset((cdr.CYCLE, cdr.FRAMES, cdr.EVENTS))
 
 
 def playing(speed: float = 1.0) -> Playback:
-    return ready(FIRST, LAST, 0, speed).told(0, PlayerControl.WATCH)
+    return ready(FIRST, LAST, 0, speed).commanded(0, PlayerControl.WATCH)
 
 
 def test_it_waits_at_the_start_until_somebody_watches() -> None:
     waiting = ready(FIRST, LAST, 0)
     assert (waiting.status, waiting.advanced(50 * MS).at_ns) == (PlayerStatus.READY, FIRST)
-    begun = waiting.advanced(50 * MS).told(50 * MS, PlayerControl.WATCH)
+    begun = waiting.advanced(50 * MS).commanded(50 * MS, PlayerControl.WATCH)
     assert begun.status is PlayerStatus.PLAYING
     assert begun.advanced(60 * MS).at_ns == FIRST + 10 * MS
 
@@ -39,33 +39,33 @@ def test_every_pair_of_status_and_control_does_what_the_table_says() -> None:
     for status in PlayerStatus:
         for control in PlayerControl:
             one = Playback(FIRST, LAST, FIRST, 0, FIRST, 0, status)
-            assert one.told(0, control).status is TRANSITIONS.get((status, control), status)
+            assert one.commanded(0, control).status is TRANSITIONS.get((status, control), status)
 
 
 def test_pause_holds_and_play_goes_on_where_it_stood() -> None:
-    paused = playing().advanced(100 * MS).told(100 * MS, PlayerControl.PAUSE)
+    paused = playing().advanced(100 * MS).commanded(100 * MS, PlayerControl.PAUSE)
     later = paused.advanced(150 * MS)
     assert later.at_ns == FIRST + 100 * MS
-    assert later.told(150 * MS, PlayerControl.PLAY).advanced(160 * MS).at_ns == FIRST + 110 * MS
+    assert later.commanded(150 * MS, PlayerControl.PLAY).advanced(160 * MS).at_ns == FIRST + 110 * MS
 
 
 @pytest.mark.parametrize(("asked", "stands"), [(2_000_000_000, 2_000_000_000), (0, FIRST), (9_000_000_000, LAST)])
 def test_a_seek_stays_inside_the_trial(asked: int, stands: int) -> None:
-    assert playing().told(0, PlayerControl.PAUSE, seek_ns=asked).at_ns == stands
+    assert playing().commanded(0, PlayerControl.PAUSE, seek_ns=asked).at_ns == stands
 
 
 @pytest.mark.parametrize(("asked", "speed"), [(4.0, 4.0), (0.0, 1.0), (-2.0, 1.0), (math.nan, 1.0), (math.inf, 1.0),
                                               (1e9, SPEEDS[1]), (1e-9, SPEEDS[0])])
 def test_a_speed_is_taken_held_or_left(asked: float, speed: float) -> None:
-    assert playing().told(0, PlayerControl.PLAY, speed=asked).speed == speed
+    assert playing().commanded(0, PlayerControl.PLAY, speed=asked).speed == speed
 
 
 def test_at_the_end_it_stops_and_begins_again() -> None:
     ended = playing(100.0).advanced(30 * MS)
     assert (ended.status, ended.at_ns) == (PlayerStatus.ENDED, LAST + 1)
-    again = ended.told(30 * MS, PlayerControl.PLAY)
+    again = ended.commanded(30 * MS, PlayerControl.PLAY)
     assert (again.status, again.at_ns) == (PlayerStatus.PLAYING, FIRST)
-    back = ended.told(30 * MS, PlayerControl.PAUSE, seek_ns=FIRST + 5)
+    back = ended.commanded(30 * MS, PlayerControl.PAUSE, seek_ns=FIRST + 5)
     assert (back.status, back.at_ns) == (PlayerStatus.PAUSED, FIRST + 5)
 
 
@@ -85,7 +85,7 @@ def test_whatever_is_pressed_every_moment_is_played_once(steps: list[tuple[int, 
             assert later.at_ns == LAST + 1
             return
         reached = later.at_ns
-        now = later.told(clock, control, speed=speed)
+        now = later.commanded(clock, control, speed=speed)
 
 
 def log(cycles: int) -> list[tuple[int, int, bytes]]:

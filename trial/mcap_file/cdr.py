@@ -38,8 +38,14 @@ FRAME_RECORD = np.dtype([
     *_RECORD, ("frame_id_length", "<u4"), ("frame_id", "u1", (8,)),
     ("id", "<u4"), ("is_rtr", "u1"), ("is_extended", "u1"), ("is_error", "u1"), ("dlc", "u1"), ("data", "u1", (8,)),
 ])
+_TIME = """\
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
 FRAME_SCHEMA_NAME = "can_msgs/msg/Frame"
-FRAME_SCHEMA = """\
+FRAME_SCHEMA = f"""\
 std_msgs/Header header
 uint32 id
 bool is_rtr
@@ -51,20 +57,10 @@ uint8[8] data
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
 string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
+{_TIME}"""
 
 CYCLE_SCHEMA_NAME = "bowden/msg/Cycle"
 EVENT_SCHEMA_NAME = "bowden/msg/Event"
-_TIME = """\
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
 EVENT_SCHEMA = f"builtin_interfaces/Time stamp\nstring kind\nstring source\nstring text\n{_TIME}"
 
 

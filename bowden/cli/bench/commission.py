@@ -132,7 +132,7 @@ class _Bench:
             if found:
                 terminal.table(what, ("figure", "value"), [
                     (name, terminal.number(value, 4)) for name, value in found.items()])
-            print(f"{what}, {self.chosen.told}: {result['outcome']}"
+            print(f"{what}, {self.chosen.in_words}: {result['outcome']}"
                   + (f": {outcome.reason}" if outcome.reason else "."))
 
         return CommandAnswer(result, words, ending.status_of(str(result["outcome"]), outcome.reason))

@@ -141,7 +141,7 @@ def identify(
     found = identification.perform(
         what, sections, calibration, chosen, recording, date=today, gait=not no_gait, overwrite=overwrite,
         progress=terminal.TERMINAL)
-    return _written(found, output, str(recording), picture, logbook, f"Bench: {chosen.told}")
+    return _written(found, output, str(recording), picture, logbook, f"Bench: {chosen.in_words}")
 
 
 def _written(found: Sequence[IdentificationResult], output: Path, source: str, picture: Path | None,

@@ -118,7 +118,7 @@ def verify(
                                    controller_model=model if name == "after" else None) for name in files}
     progress = terminal.TERMINAL
     figures = {name: session.perform(prepared[name], file, overwrite=overwrite, progress=progress,
-                                     announce="" if terminal.quiet() else f"{name}, bench on {chosen.told}.")
+                                     announce="" if terminal.quiet() else f"{name}, bench on {chosen.in_words}.")
                for name, file in files.items()}
     extended = prepared["after"].paths.get(path or "", prepared["after"].experiment)
     figures = {name: one | one.get("paths", {}).get(path, {}) for name, one in figures.items()}

@@ -78,13 +78,13 @@ def trial(
 
     def words() -> None:
         if result["trial"] is None:
-            print(f"Stopped before the first control cycle, {chosen.told}: {result['stop_reason']}; nothing was "
+            print(f"Stopped before the first control cycle, {chosen.in_words}: {result['stop_reason']}; nothing was "
                   "recorded.")
             return
         for path, watch in result.get("watch", {}).get("paths", {"": result.get("watch")}).items():
             if watch is not None:
                 _show_watch(path, watch)
-        _show(result, Path(result["trial"]), picture, chosen.told, dry_run=dry_run,
+        _show(result, Path(result["trial"]), picture, chosen.in_words, dry_run=dry_run,
               with_end=sections["network"].bench.measures_end)
         if "logbook" in result:
             kept = result["logbook"]
@@ -119,7 +119,7 @@ def _where(chosen: buses.BusSettings) -> str:
     if chosen.simulated:
         told = ", ".join(f"{name} {chosen.arguments[name]}" for name in ("serial", "day", "seed", "plant"))
         return f"SIMULATED bench, {told}; --interface names a real bus."
-    return f"bench on {chosen.told}."
+    return f"bench on {chosen.in_words}."
 
 
 def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[TrialFeed | None]:
