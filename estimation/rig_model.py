@@ -37,6 +37,7 @@ from physics.forward.rig_constants import (
     RigColumns,
     RigScale,
     gravity_of,
+    is_of_friction,
     is_regressed,
     session_sd,
     table_of,
@@ -187,7 +188,7 @@ class RigModel(ForwardModel):
         self.scale = self._scaled(tables)
         self.least = {n: 0.003 * s for n, s in self.scale.spread.items()}
         self.constants = table_of(self.rig, self.scale)
-        self.scattered = self.constants.names
+        self.scattered = tuple(n for n in self.constants.names if is_of_friction(n))
         self.hypotheses = self._hypotheses()
         self.sense, every = 1.0, RigSession([self.record(t) for t in tables])
         if self.has_end:

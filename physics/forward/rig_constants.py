@@ -80,8 +80,16 @@ REGRESSED: Final = frozenset({
 """Constants without a typical value; their prior is centred at the regression of the first reference trial."""
 RELATIVE_SD: Final = {"inertia": 0.02, "give": 0.03, "give_end": 0.03, "joint_ratio": 0.005, "arm": 0.005}
 """1σ between sessions, relative to the value, of linear constants whose size only a fit can give."""
+OF_FRICTION: Final = ("friction", "load_share", "viscous_share", "travel", "rest", "rest_speed", "asymmetry",
+                      "viscous_asymmetry")
+"""Constants of friction, at START and, with `drive_` before it, of the drive."""
 LINK, BETWEEN, WEIGHT, WEIGHT_ANGLE = "link_", "between_", "weight_", "weight_angle_"
 """Beginnings of the names of an arm's constants; one joint follows, or two."""
+
+
+def is_of_friction(name: str) -> bool:
+    """Return whether a constant is one of friction."""
+    return name.removeprefix("drive_") in OF_FRICTION
 
 
 def is_regressed(name: str) -> bool:

@@ -13,7 +13,8 @@ from tests.diagnosis import rigs
 
 pytestmark = pytest.mark.exhaustive
 
-FRICTION = {"cable_friction", "load_dependent_friction"}
+FRICTION = {"cable_friction", "load_dependent_friction", "viscous_friction"}
+"""Names of friction: with the zeros of another session, viscous friction is like a fifth less of it."""
 GAIN = {"start_gain", "end_gain", "start_offset"}
 """Names of a gain at one end: the other end's gain is its reciprocal, and a zero is one at a load that differs little.
 """

@@ -86,7 +86,7 @@ def stored(asked: Question, folder: Path = OUT / "truths") -> Drawn:
         np.savez(path, separation=made.separation, clean=made.clean, **columns)
     with np.load(path) as held:
         sets = [{name.split(".")[1]: held[name] for name in held.files if name.startswith(f"{k}.")} for k in range(5)]
-        return Drawn(tuple(sets[:2]), *sets[2:], float(held["separation"]), held["clean"])
+        return Drawn(tuple(sets[:2]), sets[2], sets[3], sets[4], float(held["separation"]), held["clean"])
 
 
 def answer(asked: Question, motion: bool = False) -> Answer:
