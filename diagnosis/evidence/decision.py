@@ -29,8 +29,6 @@ DOUBTED: Final = 2.0
 
 A model whose cost per datum is above that factor of the reference trials', and whose constants depart by that many
 session σ, RMS, has a lack of fit, too."""
-CLEAR: Final = 10.0
-"""Factor on `NAMED_NATS` above which no other minimum is asked: there the evidence changes by 21 nats at most."""
 SET_SHARE: Final = 0.5
 """Least log Bayes factor of the ambiguity set, relative to the best one; the set contains the true effect in 95 %."""
 FURTHER_SHARE: Final = 0.05
@@ -70,8 +68,7 @@ def decide(found: TrialModes) -> Decision:
     named, pairs with the best effect.
     """
     least = threshold(found.observed.model)
-    if least <= max(found.gains().values(), default=0.0) < CLEAR * least:
-        search_beside(found)
+    search_beside(found, least)
     gains = found.gains()
     seen = detected(gains, least)
     if not seen:

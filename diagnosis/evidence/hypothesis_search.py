@@ -81,14 +81,16 @@ def search(observed: SessionData, prior: Gaussian, reference: ReferenceFit | Non
     return found
 
 
-def search_beside(found: TrialModes) -> None:
+def search_beside(found: TrialModes, least: float, clear: float = 10.0) -> None:
     """Fit the null and the best effects at the best joint minimum of reference trials and trial, too, once.
 
     The larger evidence counts, that of the reference trials included.  On a bench of another structure minima are
     several, and the reference trials' own one may hold the trial for changed although another one predicts them all.
+    Only an effect that is detected, with the log Bayes factor `least`, is so examined, and none with `clear` times
+    that: another minimum changes it by some 20 nats.
     """
-    first = found.reference
-    if first is None or first.beside is None:
+    first, best = found.reference, max(found.gains().values(), default=0.0)
+    if first is None or first.beside is None or not least <= best < clear * least:
         return
     fit, nats, start = first.beside(first, found.observed.trials[0], found.null.x)
     other = replace(found, prior=fit.prior_of(found.observed), reference=fit, single={}, variants={})
@@ -100,10 +102,10 @@ def search_beside(found: TrialModes) -> None:
         variant = found.variants[name]
         for x in (found.single[name].x, begun(other.null, variant)):
             _keep(other, name, variant, _fit(other, [variant], x))
-    found.reference = fit  # asked once
-    best = max(at.log_evidence for at in (found.null, *found.single.values()))
-    if max(at.log_evidence + nats for at in (other.null, *other.single.values())) > best:
-        found.prior = other.prior
+    highest, there = (max(at.log_evidence for at in (modes.null, *modes.single.values())) for modes in (found, other))
+    found.reference = replace(first, beside=None)  # asked once
+    if there + nats > highest:
+        found.prior, found.reference = other.prior, fit
     found.null = max(found.null, _shifted(other.null, nats), key=lambda at: at.log_evidence)
     for name, at in other.single.items():
         _keep(found, name, other.variants[name], _shifted(at, nats))
