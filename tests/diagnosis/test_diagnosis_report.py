@@ -345,7 +345,7 @@ def test_the_changed_part_is_marked_and_nothing_is_drawn_twice(found: Findings, 
     red = browser.run("""[...document.querySelectorAll('svg.bench rect')].filter(
         box => box.getAttribute('stroke-width') > 2).map(box => box.parentNode.querySelector('text').textContent)""")
     assert red == ["cable"]
-    lines = "[...document.querySelectorAll('svg.loop path[fill=none]')].map(line => line.getBoundingClientRect().width)"
+    lines = "bowden.page.plots.filter(plot => plot.loop).flatMap(plot => plot.series.map(line => plot.chart.width))"
     assert len(browser.run(lines)) == 4
     assert min(browser.run(lines)) > 200
     nothing = dataclasses.replace(found, verdict="none", causes=[], rivals=[], experiment=None)

@@ -195,4 +195,4 @@ def test_what_a_session_differs_by_is_said_though_nothing_is_named(seals: list[P
     told = " ".join(capsys.readouterr().out.split())
     assert "which is the session's" in told
     assert "The simulation of this rig misses the drive's force by" in told
-    assert "drive_friction" in told[told.index("constants of the rig, named or not"):]
+    assert "drive friction" in told[told.index("constants of the rig, named or not"):]
