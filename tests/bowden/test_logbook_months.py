@@ -42,8 +42,7 @@ BENCHES = {
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("name", [
-    pytest.param("tests' plant", marks=pytest.mark.xfail(
-        strict=True, reason="no effect is large enough in one session, by the scatter that the logbook measures")),
+    "tests' plant",
     pytest.param("packaged plant", marks=pytest.mark.xfail(
         strict=True, reason="the leg's inertia holds a loose leg off its flank: said to be a creep of the fabric"))])
 def test_a_backlash_raises_an_alarm_that_is_dated_and_diagnosed(name: str, here: Path,
