@@ -28,7 +28,15 @@ from estimation.posterior import (
     loss,
     mode,
 )
-from estimation.reference_fit import FEATURES, Beside, NoiseModel, ReferenceFit, features, reach_of, scaling_of
+from estimation.reference_fit import (
+    FEATURES,
+    JointMinimum,
+    NoiseModel,
+    ReferenceFit,
+    features,
+    reach_of,
+    scaling_of,
+)
 from physics.laws import Array
 
 POOLED: Final = 2.0
@@ -167,7 +175,7 @@ class _Fit:
         self.bench = np.concatenate([own, self.bench[size:]])
         self.at = [np.concatenate([own, x[size:]]) for x in self.at]
 
-    def beside(self, fit: ReferenceFit, trial: Recording, x: Array) -> Beside:
+    def joint_minimum(self, fit: ReferenceFit, trial: Recording, x: Array) -> JointMinimum:
         """Return the reference condition of `fit` at the best joint minimum of reference trials and a further `trial`.
 
         `x`: mode of the trial under `fit`, where the descents begin that do not begin at a mode of one trial by itself.
@@ -191,8 +199,9 @@ class _Fit:
         there = copy.copy(self)
         there.bench, there.at = best[0], best[1][:-1]
         bench, nats = there._posterior()
-        return Beside(replace(fit, bench=bench, prior=there._further(bench), identified=tuple(there.identified),
-                              beside=None), nats - copy.copy(self)._posterior()[1], best[1][-1])
+        found = replace(fit, bench=bench, prior=there._further(bench), identified=tuple(there.identified),
+                        joint_minimum=None)
+        return JointMinimum(found, nats - copy.copy(self)._posterior()[1], best[1][-1])
 
     def _posterior(self) -> tuple[Gaussian, float]:
         """Return the posterior of the bench by the trials linearised where they stand, and its log evidence, nats.
@@ -222,7 +231,7 @@ class _Fit:
         return ReferenceFit(self.model, self.outputs, self.origin, bench, self._further(bench), self.scaling,
                             self.model_error, self.tau, self.scatter_n, self._mean_cost(), self.reach,
                             tuple(self.identified), self.contradicted,
-                            None if self.model.pools_sessions else self.beside)
+                            None if self.model.pools_sessions else self.joint_minimum)
 
     def _bounded(self) -> Gaussian:
         """Return the bench at the joint mode, its covariance linearised where "positive" constants are above 0.

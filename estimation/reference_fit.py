@@ -80,8 +80,8 @@ class ReferenceFit:
     `identified`: coordinates and feature weights at the mode of each reference trial.  `scatter_n`: RMS error by
     output, N, of the other reference trials' models on one trial; a single trial is predicted by its model.
     `contradicted`: nats by which a restart of the fit found a better minimum than the first start, 0 if it did not.
-    `beside`: function of this fit, a further trial and its mode that returns the reference condition at their joint
-    minimum; None for a condition that was not fitted here, and for pooled sessions.
+    `joint_minimum`: function of this fit, a further trial and its mode that returns the reference condition at their
+    joint minimum; None for a condition that was not fitted here, and for pooled sessions.
     """
 
     model: ForwardModel
@@ -97,7 +97,7 @@ class ReferenceFit:
     reach: Reach | None
     identified: tuple[tuple[Array, Array], ...] = ()
     contradicted: float = 0.0
-    beside: Callable[[ReferenceFit, Recording, Array], Beside] | None = None
+    joint_minimum: Callable[[ReferenceFit, Recording, Array], JointMinimum] | None = None
 
     def warning(self) -> str:
         """Return a sentence if a restart of the fit contradicted the first minimum; else ""."""
@@ -179,7 +179,7 @@ class ReferenceFit:
         return np.repeat(faster * np.maximum(1.0, measured / np.maximum(expected, 1e-12)), trial.bins)
 
 
-class Beside(NamedTuple):
+class JointMinimum(NamedTuple):
     """Reference condition at another minimum: the fit, log evidence of its reference trials less that of the first
     minimum, nats, and the departures of a further trial there."""
 

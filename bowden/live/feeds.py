@@ -183,7 +183,7 @@ class TrialPlayer:
         self._tell()
 
     def _add(self, first_ns: int, end_ns: int) -> None:
-        """Add what was recorded from `first_ns` up to, not including, `end_ns`; forces as densely as a page shows."""
+        """Add the messages from `first_ns` up to, not including, `end_ns`; forces as densely as a page shows."""
         rows, frames, events = (slice(*np.searchsorted(times, (first_ns, end_ns)).tolist()) for times in self._times)
         times = self._times[0][rows]
         shown = np.diff(times // ROW_NS, prepend=-1) != 0

@@ -81,7 +81,7 @@ def search(observed: SessionData, prior: Gaussian, reference: ReferenceFit | Non
     return found
 
 
-def search_beside(found: TrialModes, least: float, clear: float = 10.0) -> None:
+def search_joint_minimum(found: TrialModes, least: float, clear: float = 10.0) -> None:
     """Fit the null and the best effects at the best joint minimum of reference trials and trial, too, once.
 
     The larger evidence counts, that of the reference trials included.  On a bench of another structure minima are
@@ -90,9 +90,9 @@ def search_beside(found: TrialModes, least: float, clear: float = 10.0) -> None:
     that: another minimum changes it by some 20 nats.
     """
     first, best = found.reference, max(found.gains().values(), default=0.0)
-    if first is None or first.beside is None or not least <= best < clear * least:
+    if first is None or first.joint_minimum is None or not least <= best < clear * least:
         return
-    fit, nats, start = first.beside(first, found.observed.trials[0], found.null.x)
+    fit, nats, start = first.joint_minimum(first, found.observed.trials[0], found.null.x)
     other = replace(found, prior=fit.prior_of(found.observed), reference=fit, single={}, variants={})
     fitted = [at for x in (start, found.null.x) if (at := _fit(other, [], x)) is not None]
     if not fitted:
@@ -103,7 +103,7 @@ def search_beside(found: TrialModes, least: float, clear: float = 10.0) -> None:
         for x in (found.single[name].x, begun(other.null, variant)):
             _keep(other, name, variant, _fit(other, [variant], x))
     highest, there = (max(at.log_evidence for at in (modes.null, *modes.single.values())) for modes in (found, other))
-    found.reference = replace(first, beside=None)  # asked once
+    found.reference = replace(first, joint_minimum=None)  # asked once
     if there + nats > highest:
         found.prior, found.reference = other.prior, fit
     found.null = max(found.null, _shifted(other.null, nats), key=lambda at: at.log_evidence)

@@ -102,7 +102,7 @@ def _by_evidence(found: Findings) -> Iterator[str]:
 
 
 def law_sentences(laws: Laws) -> Iterator[str]:
-    """Yield the equation of each term, the gain, what is nearly as likely, and the motion that would confirm it."""
+    """Yield the equation of each term, the gain, the runners-up, and the motion that would confirm it."""
     if not laws.terms:
         yield f"No law: {laws.rejected or 'no term has the evidence'}."
         return

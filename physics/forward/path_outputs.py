@@ -19,8 +19,7 @@ from physics.plant.components import GRAVITY
 
 OF_DRIVE: Final = (
     "start_lag", "start_offset", "start_drift", *(f"start_wander{k}" for k in range(1, WANDER + 1)), "start_gain",
-    "drum_radius", "eccentric_sin", "eccentric_cos",
-    "drive_travel",
+    "drum_radius", "eccentric_sin", "eccentric_cos", "drive_travel",
     "drive_coulomb", "drive_asymmetry", "drive_viscous", "drive_viscous_asymmetry", "drive_inertia", "drive_offset",
     "demand_gain")
 """Constants of `drive_force`, which is computed once per distinct set of them and has access to no others."""

@@ -9,8 +9,8 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from physics.forward.path_constants import CONSTANTS, INDEX, values
-from physics.forward.path_outputs import PathMotion, drive_force, end_reading
+from physics.forward.path_constants import CONSTANTS, INDEX, SESSION_SD, WANDER, values
+from physics.forward.path_outputs import PathMotion, drive_force, end_reading, start_reading
 from physics.laws import Array
 
 STEP_S = 4e-3
@@ -68,3 +68,23 @@ def test_the_servo_force_has_start_as_it_was_before_its_lag(lag_s: float, hz: fl
     told = drive_force(constants, motion, STEP_S)[0]
     exact = np.sin(2.0 * np.pi * hz * TIME_S)
     np.testing.assert_allclose(told[INNER], exact[INNER], atol=(2.0 * np.pi * hz * STEP_S) ** 3 / 16.0 + 1e-12)
+
+
+def test_a_zero_wanders_as_a_wiener_process_does_and_the_servo_force_is_without_it() -> None:
+    constants = values(np.zeros((len(CONSTANTS), 1 + WANDER)))
+    waves = [INDEX[f"start_wander{k}"] for k in range(1, WANDER + 1)]
+    constants[waves, 1 + np.arange(WANDER)] = SESSION_SD[waves]
+    constants[INDEX["start_lag"]] = 0.0
+    progress = TIME_S / TIME_S[-1]
+    still: dict[str, Any] = dict.fromkeys(PathMotion.__annotations__, np.zeros(TIME_S.size)) | {"progress": progress}
+    read = start_reading(constants, np.full((1 + WANDER, TIME_S.size), 30.0), SimpleNamespace(**still), STEP_S)
+    apart = read[1:] - read[0]
+    # a Brownian bridge has the variance sd²·p·(1 − p), its first sines at most that, and most of it
+    bridge = SESSION_SD[INDEX["start_drift"]] ** 2 * progress * (1.0 - progress)
+    assert np.all((apart**2).sum(axis=0) <= bridge + 1e-12)
+    assert (apart**2).sum() > 0.85 * bridge.sum()  # Σ 1/k² up to 4 over π²/6
+    for row in range(1 + WANDER):
+        motion: Any = SimpleNamespace(**still | {"start_n": read[row]})
+        force = drive_force(constants[:, [row]], motion, STEP_S)[0]
+        np.testing.assert_allclose(force[INNER], drive_force(constants[:, [0]], SimpleNamespace(
+            **still | {"start_n": read[0]}), STEP_S)[0][INNER], atol=1e-9)

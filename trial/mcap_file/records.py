@@ -30,7 +30,7 @@ from trial.mcap_file.cdr import MESSAGE_HEAD
 
 CHUNK_LIMIT = 64 << 20  # one chunk, unpacked; writers in use make chunks of 64 KiB to 16 MiB
 SPAN = 4 << 20
-"""Bytes of a file that a reader from front to back leaves mapped."""
+"""Bytes of a file that stay mapped behind a reader from front to back."""
 _HEAD = struct.Struct("<BQ")
 
 View = bytes | mmap.mmap
