@@ -6,7 +6,8 @@ This module passes trials and models to `diagnosis` and returns its findings; it
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -41,21 +42,27 @@ class Diagnosis:
     `model`: the identified bench model, or its calibration.toml (None: the one attached to each trial). `lowpass_hz`:
     cut-off of the zero-phase low-pass put on every signal first. `path`: force path of trials of several, or joint of
     tables whose columns are `<joint>.<header>`. `effects`: files of effects of your own, which compete in this
-    diagnosis alone.
+    diagnosis alone. `session_sd`: 1σ of each constant between sessions (None: the published one). `show` receives
+    the present work in words.
     """
 
     def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, path: str | None = None,
-                 effects: Iterable[str | Path] = ()) -> None:
+                 effects: Iterable[str | Path] = (), session_sd: Mapping[str, float] | None = None,
+                 show: Callable[[str], object] = lambda work: None) -> None:
         self.model = None if model is None else model_files.given(model)
         known = None if self.model is None else dataclasses.replace(self.model, effects={}, found={})
-        self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz,
-                              own_effects=own_effects.read_each(effects))
-        self._measured, self._path = known is not None, path
+        self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz, session_sd,
+                              own_effects.read_each(effects))
+        self._measured, self._path, self._show = known is not None, path, show
 
     def fit(self, healthy: Given | Iterable[Given]) -> Diagnosis:
-        """Learn from trials of this or a like bench with nothing wrong, once; returns itself.  Raises `InputError`."""
-        self._finder.fit([table_of(trial, self._path) for trial in several(healthy)])
-        self._measured = True
+        """Read trials of this or a like bench with nothing wrong; the first diagnosis fits them, once; returns itself.
+
+        Raises `InputError` for unusable files.
+        """
+        tables = self._tables(several(healthy))
+        self._finder.examine(tables)
+        self._measured = self._measured or bool(tables)
         return self
 
     def diagnose(self, trials: Given | Iterable[Given], holdout: Given | Iterable[Given] = (), *, terms: bool = False
@@ -65,15 +72,27 @@ class Diagnosis:
         `terms`: seek a law, as `bowden.discover` does, where effects do not explain the trials, or not all of it.
 
         Without a model and reference trials, no cause is named in trials of the packaged calibration, since its values
-        are assumed and not measured (`on_its_footing`).  Raises `InputError` for unusable files; inconsistent
-        data give the verdict `refused`.
+        are assumed and not measured.  Raises `InputError` for unusable files; inconsistent data give the verdict
+        `refused`.
         """
-        given = several(trials)
-        asked, unseen = ([table_of(trial, self._path) for trial in group] for group in (given, several(holdout)))
-        paths = [Path(trial.path if isinstance(trial, Trial) else trial) for trial in given]
-        found = on_its_footing(self._finder.diagnose(asked, unseen, terms=terms), paths, self._path,
-                                measured=self._measured)
-        return DiagnosisResult(found, asked, unseen, self.model)
+        began, given = time.perf_counter(), several(trials)
+        asked, unseen = (self._tables(group) for group in (given, several(holdout)))
+        self._show("fitting the reference trials, then the effects")
+        found = self._finder.diagnose(asked, unseen, terms=terms)
+        if found.verdict != "refused" and not self._measured and all(map(self._on_packaged_calibration, given)):
+            found = found.unnamed()
+        return DiagnosisResult(found, asked, unseen, self.model, time.perf_counter() - began)
+
+    def _tables(self, trials: Iterable[Given]) -> list[Table]:
+        def read(trial: Given) -> Table:
+            self._show(f"reading {Path(trial.path if isinstance(trial, Trial) else trial).name}")
+            return table_of(trial, self._path)
+
+        return [read(trial) for trial in trials]
+
+    def _on_packaged_calibration(self, trial: Given) -> bool:
+        file = Path(trial.path if isinstance(trial, Trial) else trial)
+        return file.suffix.lower() == ".mcap" and opened(file, self._path).metadata.get("calibration") == table.NOMINAL
 
 
 class DiagnosisResult:
@@ -82,13 +101,14 @@ class DiagnosisResult:
     `verdict`: none, found, ambiguous, unexplained or refused. `causes`: one dict an effect, with its site, its
     parameters (value, low, high, unit) and its gain, %. `rivals`: effects that these data cannot separate, the chosen
     ones first. `experiment`: the experiment that would separate them. `relations`: figures by relation. `warnings`:
-    sentences for the reader. `terms`: law beyond the causes, if one was asked for.
+    sentences for the reader. `terms`: law beyond the causes, if one was asked for. `seconds`: its duration.
     """
 
     def __init__(
-        self, found: Findings, trials: Sequence[Table], holdout: Sequence[Table], model: BenchModel | None
+        self, found: Findings, trials: Sequence[Table], holdout: Sequence[Table], model: BenchModel | None,
+        seconds: float = 0.0,
     ) -> None:
-        self.found = found
+        self.found, self.seconds = found, seconds
         self.verdict, self.causes, self.rivals = found.verdict, found.causes, found.rivals
         self.experiment, self.relations, self.warnings = found.experiment, found.relations, found.warnings
         self.terms = [] if found.laws is None else list(found.laws.terms)
@@ -131,8 +151,12 @@ class DiagnosisResult:
         return f"<p><b>verdict: {escape(self.verdict)}</b></p>{table}{remarks}"
 
     def as_json(self) -> dict[str, Any]:
-        """Return the object that `bowden diagnose --json` prints."""
+        """Return the object that `bowden diagnose --json` prints, without `seconds`."""
         return self.found.as_json()
+
+    def text(self) -> str:
+        """Return extended.toml: the bench as this diagnosis fitted it, with the effects found."""
+        return extension.text(self.found, self._trials)
 
     @property
     def model(self) -> BenchModel:
@@ -142,25 +166,16 @@ class DiagnosisResult:
         """
         return extension.extended(model_files.given(self._model), self.found, self._trials)
 
-    def report(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write one HTML page that needs no network; raises `InputError` where the trials were refused."""
+    def report(self, path: str | Path, *, tracked: tuple[Path, Path] | None = None, overwrite: bool = False) -> Path:
+        """Write one HTML page that needs no network; raises `InputError` where the trials were refused.
+
+        `tracked`: trials without and with the extended controller, shown in it.
+        """
         if self.verdict == "refused":
             raise InputError(f"{path}: the trials were refused ({self.warnings[0]}); mend the data first.")
         output_files.refuse([Path(path)], overwrite=overwrite)
-        diagnosis_page.write(self.found, self._trials, self._holdout, path)
+        diagnosis_page.write(self.found, self._trials, self._holdout, path, tracked)
         return Path(path)
-
-
-def on_its_footing(found: Findings, trials: Sequence[Path], path: str | None, *, measured: bool) -> Findings:
-    """Return the findings; without a named cause if no data describe this bench without the fault.
-
-    This is so if every trial ran on the packaged calibration; `path`: the force path of trials of several;
-    `measured`: a calibration or reference trials were given.
-    """
-    measured = measured or not all(
-        file.suffix.lower() == ".mcap" and opened(file, path).metadata.get("calibration") == table.NOMINAL
-        for file in trials)
-    return found if measured or found.verdict == "refused" else found.unnamed()
 
 
 def several(given: Given | Iterable[Given]) -> list[Given]:

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from bowden.bench.buses import BusSettings
 from bowden.deferred import on_first_use
-from estimation.data import table, windows
+from estimation.data import table
 from estimation.linear_sums import session_sums
 from logbook.bench_state import (
     CONSTANTS,
@@ -37,12 +37,14 @@ from trial import read
 from trial.read import one_path, path_names
 
 with on_first_use():
-    from diagnosis.finder import Finder
+    from bowden.models.diagnosing import Diagnosis
     from diagnosis.report.headline import headline
     from trial.report.compare_page import judged
 
 EPOCH_NS: Final = 10**17
 """Time of a recording, ns, from which it is a date and not a time since the start: 1973."""
+ENTERED: Final = ("verdict", "causes", "class", "experiment")
+"""Keys of a diagnosis that the logbook stores."""
 FIGURES: Final = ("relative_rmse_percent", "relative_rmse_window_percent", "max_idle_tension_n", "peak_jump_n")
 
 
@@ -109,10 +111,20 @@ def reference_trials(folder: Path | None, healthy: Sequence[Path] | None = None,
     return [path for path in found if path.resolve() not in same], deviations
 
 
-def path_of(folder: Path) -> str | None:
-    """Return the force path that a logbook follows, of a bench of several; None of a bench of a single one."""
+def path_of(folder: Path | None, path: str | None) -> str | None:
+    """Return the force path to diagnose: that of the logbook, of a bench of several; without a logbook `path`.
+
+    Raises `InputError` if `path` is another one than the logbook's.
+    """
+    if folder is None:
+        return path
     with open_logbook(folder) as book:
-        return book.path or None
+        followed = book.path or None
+    if path not in (None, followed):
+        raise InputError(f"--path {path}: the logbook {folder} follows " + (
+            f"{followed}; leave --path out, or give that path's logbook." if followed else
+            "a bench of a single force path; leave --path out."))
+    return followed
 
 
 def against_history(folder: Path, path: Path) -> dict[str, Any]:
@@ -137,10 +149,10 @@ def against_history(folder: Path, path: Path) -> dict[str, Any]:
 
 
 def add_verdict(folder: Path, path: Path, content: Mapping[str, Any]) -> None:
-    """Enter the verdict on a trial; the trial is entered, too, if it is new."""
+    """Enter `ENTERED` of a diagnosis of a trial; the trial is entered, too, if it is new."""
     [(entry, _)] = add(folder, {path: None})
     with open_logbook(folder) as book:
-        book.enter_verdict(entry.id, content)
+        book.enter_verdict(entry.id, {name: content[name] for name in ENTERED if name in content})
 
 
 def _described(path: Path, figures: Mapping[str, Any] | None, force_path: str) -> NewTrial:
@@ -259,9 +271,8 @@ def change_trials(book: Logbook) -> ChangeTrials | None:
 def _diagnosed(book: Logbook, state: BenchState) -> Cause:
     """Diagnose the newest session since the first alarm; raises `InputError` if trials are missing or unusable."""
     given = trials_of(book, state.alarms[0], state.sessions, state.notes)
-    before, since = ([windows.read(book.place(trial.path), book.path or None) for trial in trials]
-                     for trials in (given.references, given.trials))
-    found = Finder(session_sd=state.scatter).examine(before).diagnose(since)
+    before, since = ([book.place(trial.path) for trial in trials] for trials in (given.references, given.trials))
+    found = Diagnosis(path=book.path or None, session_sd=state.scatter).fit(before).diagnose(since).found
     named = found.verdict in ("found", "ambiguous")
     return Cause(found.verdict, tuple(found.rivals), found.part if named else None,
                  found.warnings[0] if found.verdict == "refused" else "", given.trials[0].session,

@@ -10,7 +10,6 @@ from __future__ import annotations
 import importlib
 import itertools
 import os
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -30,8 +29,7 @@ from parameters import InputError
 from parameters.files import write_whole
 
 with on_first_use():
-    from bowden.models.diagnosing import on_its_footing
-    from diagnosis.finder import Finder
+    from bowden.models.diagnosing import Diagnosis
     from diagnosis.findings import Findings
 
 CONNECT_S = 10
@@ -220,41 +218,34 @@ def _trial(row: Row, calibrations: Path, keep: str | None) -> Job:
     return Job(row, row_trial.perform, (placed(row), text, label, keep))
 
 
-@dataclass(frozen=True)
-class DiagnosisSettings:
-    """Settings common to the diagnoses of all trials."""
-
-    calibration: Path | None
-    healthy: tuple[Path, ...]
-    holdout: tuple[Path, ...]
-    lowpass: float | None
+Reference = tuple[Path | None, tuple[Path, ...], float | None]
+"""Reference condition of several diagnoses: calibration, reference trials, and cut-off of a low-pass, Hz."""
 
 
-def diagnose(trial: Path, settings: DiagnosisSettings) -> dict[str, Any]:
+def diagnose(trial: Path, holdout: Sequence[Path], reference: Reference) -> dict[str, Any]:
     """Return one trial's diagnosis as `bowden diagnose --json` gives it."""
-    began = time.perf_counter()
     try:
-        told = on_its_footing(_finder(settings, _state(settings)).diagnose([trial], settings.holdout), [trial], None,
-                              measured=bool(settings.calibration or settings.healthy))
+        found = _fitted(reference, _state(reference)).diagnose(trial, holdout)
+        return found.as_json() | {"seconds": found.seconds}
     except InputError as error:
-        told = Findings("refused", warnings=[str(error)], lowpass_hz=settings.lowpass)
-    return told.as_json() | {"seconds": time.perf_counter() - began}
+        return Findings("refused", warnings=[str(error)], lowpass_hz=reference[-1]).as_json() | {"seconds": 0.0}
 
 
 @lru_cache(maxsize=1)
-def _finder(settings: DiagnosisSettings, state: tuple[tuple[int, int], ...]) -> Finder:
+def _fitted(reference: Reference, state: tuple[tuple[int, int], ...]) -> Diagnosis:
     """Return the fitted diagnosis: its reference trials are read and fitted once in a process."""
-    return Finder(settings.calibration, settings.lowpass).examine(settings.healthy)
+    calibration, healthy, lowpass = reference
+    return Diagnosis(calibration, lowpass_hz=lowpass).fit(healthy)
 
 
-def _state(settings: DiagnosisSettings) -> tuple[tuple[int, int], ...]:
-    """Return size and modification time of the files of a finder: a change requires a new finder."""
-    files = [*settings.healthy, *([] if settings.calibration is None else [settings.calibration])]
-    return tuple((told.st_size, told.st_mtime_ns) for told in (path.stat() for path in files if path.exists()))
+def _state(reference: Reference) -> tuple[tuple[int, int], ...]:
+    """Return size and modification time of the files of a reference condition: a change requires another fit."""
+    files = [path for path in (reference[0], *reference[1]) if path is not None and path.exists()]
+    return tuple((status.st_size, status.st_mtime_ns) for status in (path.stat() for path in files))
 
 
-def diagnose_each(trials: Sequence[Path], settings: DiagnosisSettings, workers: Workers, update: Callable[[float], None]
-         ) -> dict[str, Mapping[str, Any]]:
+def diagnose_each(trials: Sequence[Path], holdout: Sequence[Path], reference: Reference, workers: Workers,
+                  update: Callable[[float], None]) -> dict[str, Mapping[str, Any]]:
     """Diagnose every trial for itself; the order is that of `trials`. `update` receives the share done."""
     results: dict[Path, Mapping[str, Any]] = {}
 
@@ -264,5 +255,5 @@ def diagnose_each(trials: Sequence[Path], settings: DiagnosisSettings, workers: 
         results[trial] = result
         update(len(results) / len(trials))
 
-    run_all((Job(trial, diagnose, (trial, settings)) for trial in trials), workers, finished)
+    run_all((Job(trial, diagnose, (trial, holdout, reference)) for trial in trials), workers, finished)
     return {str(trial): results[trial] for trial in trials}

@@ -127,8 +127,7 @@ def watch(
         raise NothingGivenError("TRIAL | --interface NAME",
                                 "a watch reads a trial or a bus; give either a file or --interface.")
     refuse_no_logbook(logbook)
-    bench = replace(watched_bench(healthy, logbook), path=path or (
-        None if logbook is None else logbook_entries.path_of(logbook)))
+    bench = replace(watched_bench(healthy, logbook), path=logbook_entries.path_of(logbook, path))
     if trial is not None:
         if trial.suffix.lower() != ".mcap":
             raise InputError(f"{trial}: a watch reads a trial (.mcap) while it is written; say "

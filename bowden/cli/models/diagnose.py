@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,16 +18,11 @@ from parameters.files import write_whole
 
 with on_first_use():
     from bowden.models import diagnosing, experiment_plan, logbook_entries
-    from bowden.models.diagnosing import table_of
     from bowden.sweep import run
-    from diagnosis import extension
     from diagnosis.evidence.planned_limits import Plan
-    from diagnosis.finder import Finder
     from diagnosis.findings import Findings
-    from diagnosis.report import diagnosis_page, figure_export
+    from diagnosis.report import figure_export
     from diagnosis.report.headline import headline
-    from estimation.data.table import Table
-    from physics.effects import own_effects
     from trial.report.words import quantities, words
 
 Trials = Annotated[list[Path] | None, argument("TRIAL…", "MCAP, or CSV (.gz) with canonical headers.")]
@@ -50,9 +44,6 @@ Terms = Annotated[bool, option(
 Effects = Annotated[list[Path] | None, option(
     "Effects of your own, TOML, beside those of the catalogue; repeatable.", metavar="FILE")]
 Noise = Annotated[float | None, option("With --plan: noise of both tension sensors, 1σ.", metavar="N")]
-
-ENTERED = ("verdict", "causes", "class", "experiment")
-"""Keys of a diagnosis that the logbook stores."""
 
 
 @app.command()
@@ -81,47 +72,31 @@ def diagnose(
         _leave_out(given, given, "--plan is before any trial")
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [])
     chosen = _trials(trials, asked, given)
-    own = own_effects.read_each(effects or [])
     if each:
         return _each(chosen, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers))
     if figures is not None:
         figure_export.refuse(figures, overwrite=overwrite)
     references, deviations = logbook_entries.reference_trials(logbook, healthy, chosen if logbook else ())
-    if logbook is not None:
-        path = _path_of(logbook, path)
-    began = time.perf_counter()
+    path = logbook_entries.path_of(logbook, path)
     if path is not None and calibration is not None:
         calibration = force_paths.file_of(calibration, path)
     with terminal.fitting("diagnosing") as show:
-        trial_tables, reference_tables, holdout_tables = _read((chosen, references, holdout or []), path, show)
-        show("fitting the healthy trials, then the effects")
-        finder = Finder(calibration, lowpass, deviations, own).examine(reference_tables)
-        found = diagnosing.on_its_footing(finder.diagnose(trial_tables, holdout_tables, terms=terms), chosen, path,
-                                          measured=bool(calibration or references))
+        finder = diagnosing.Diagnosis(
+            calibration, lowpass_hz=lowpass, path=path, effects=effects or (), session_sd=deviations, show=show)
+        found = finder.fit(references).diagnose(chosen, holdout or (), terms=terms)
         show("writing")
         if found.verdict != "refused":
             if output is not None:
-                write_whole(output, extension.text(found, trial_tables), overwrite=True)
+                write_whole(output, found.text(), overwrite=True)
             if report is not None:
-                diagnosis_page.write(found, trial_tables, holdout_tables, report, tracked)
+                found.report(report, tracked=tracked, overwrite=True)
             if figures is not None:
-                figure_export.write(found, figures, overwrite=overwrite)
-    result = found.as_json() | ({} if path is None else {"path": path}) | {"seconds": time.perf_counter() - began}
+                figure_export.write(found.found, figures, overwrite=overwrite)
+    result = found.as_json() | ({} if path is None else {"path": path}) | {"seconds": found.seconds}
     if logbook is not None and found.verdict != "refused":
-        kept: dict[str, Any] = {name: result[name] for name in ENTERED if name in result}
         for trial in chosen:
-            logbook_entries.add_verdict(logbook, trial, kept)
-    return CommandAnswer(result, lambda: _tell(found, result), 2 if found.verdict == "refused" else 0)
-
-
-def _path_of(logbook: Path, path: str | None) -> str | None:
-    """Return the force path of a logbook; raises `InputError` where another one is asked for."""
-    followed = logbook_entries.path_of(logbook)
-    if path is not None and path != followed:
-        raise InputError(f"--path {path}: the logbook {logbook} follows " + (
-            f"{followed}; leave --path out, or give that path's logbook." if followed else
-            "a bench of a single force path; leave --path out."))
-    return followed
+            logbook_entries.add_verdict(logbook, trial, result)
+    return CommandAnswer(result, lambda: _tell(found.found, result), 2 if found.verdict == "refused" else 0)
 
 
 def _leave_out(given: dict[str, Any], names: Iterable[str], reason: str) -> None:
@@ -155,9 +130,8 @@ def _each(
     where: tuple[str | None, int | None],
 ) -> CommandAnswer:
     """Diagnose every trial for itself; status 0 with a result for each, 1 if some were refused, 2 if all were."""
-    given = run.DiagnosisSettings(calibration, tuple(healthy), tuple(holdout), lowpass)
     with run.workers_of(*where) as crew, terminal.progress("diagnosing") as update:
-        told = run.diagnose_each(trials, given, crew, update)
+        told = run.diagnose_each(trials, holdout, (calibration, tuple(healthy), lowpass), crew, update)
     refused = sum(one["verdict"] == "refused" for one in told.values())
     return CommandAnswer({"trials": told}, lambda: _tell_each(told, lowpass),
                          2 if refused == len(told) else 1 if refused else 0)
@@ -178,15 +152,6 @@ def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
         todo = one["warnings"][0] if one["verdict"] == "refused" else one["experiment"]
         if todo:
             terminal.sentence(f"why not: {todo}" if one["verdict"] == "refused" else f"next: {todo}", "    ")
-
-
-def _read(groups: Sequence[Sequence[Path]], path: str | None, show: Callable[[str], None]) -> list[list[Table]]:
-    """Return the tables of each group of files."""
-    def read(file: Path) -> Table:
-        show(f"reading {file.name}")
-        return table_of(file, path)
-
-    return [[read(file) for file in files] for files in groups]
 
 
 def _tell(found: Findings, result: dict[str, Any]) -> None:

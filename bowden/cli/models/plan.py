@@ -53,8 +53,7 @@ def plan_experiment(
             found = experiment_plan.of_model(model)
         elif trials:
             references, deviations = logbook_entries.reference_trials(logbook, healthy, trials)
-            path = path or (logbook_entries.path_of(logbook) if logbook else None)
-            found = experiment_plan.of_trials(trials, references, deviations, path)
+            found = experiment_plan.of_trials(trials, references, deviations, logbook_entries.path_of(logbook, path))
         else:
             assert logbook is not None
             found = experiment_plan.of_logbook(logbook)
