@@ -189,7 +189,7 @@ def usable_table(path: Path, force_path: str | None, remedy: str, motion: Sequen
     given = windows.read(path, force_path)
     refused = [f.text for f in (*integrity.examine(given), *scales.contradictions(given)) if f.refuses]
     if refused:
-        raise InputError(f"{path}: {refused[0]}")
+        raise InputError(refused[0])
     plain = integrity.usable(given, motion)
     if missing := PATH_MODEL.lacking(plain):
         raise InputError(f"{path}: has no column {', '.join(missing)}; {remedy}.")

@@ -226,7 +226,8 @@ def _whole(view: records.View, file: TrialFile) -> Trial:
 def _described(summary: records.Summary, table: str, path: Path) -> records.Channel:
     channel = _channel(summary, table)
     if channel is None:
-        raise InputError(f"{path}: has no topic {table}, so it is no trial; say bowden import {path} -o FILE.")
+        raise InputError(f"{path}: has no topic {table}, so it is no trial; say bowden import {path} -o FILE."
+                         if summary.channels else f"{path}: has no topics, so nothing was recorded; record again.")
     return channel
 
 

@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
+from bowden.child_processes import unsignalled
 from bowden.live.state import Force, LiveState
 from bowden.live.web import LivePage
 from parameters import InputError
@@ -62,7 +63,8 @@ class PageProcess:
         self._answers, their_answers = socket.socketpair()
         self._process = multiprocessing.get_context("spawn").Process(
             target=serve, args=(their_page, their_answers, setup, where), name="bowden live page", daemon=True)
-        self._process.start()
+        with unsignalled():  # the trial stops on them, and ends the page afterwards
+            self._process.start()
         their_page.close()
         their_answers.close()
         answers = self._answers.makefile("r", encoding="utf-8")
@@ -159,9 +161,7 @@ class PageProcess:
 
 def serve(calls: socket.socket, answers: socket.socket, setup: PageSetup, where: str) -> None:
     """Serve the page of a trial until the socket `calls` ends; runs in the page's own process."""
-    for name in ("SIGINT", "SIGHUP", "SIGQUIT"):  # the trial stops on them, and ends the page afterwards
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # on Windows it is not blocked
     if hasattr(os, "nice"):
         os.nice(NICENESS)
     state = LiveState(setup.name, "trial", time.monotonic, *setup[1:])

@@ -18,14 +18,14 @@ from bowden.bench import buses, configuration
 from bowden.deferred import on_first_use
 from bowden.models import logbook_entries
 from diagnosis.evidence import decision
+from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.experiment_prediction import DECIDES, PlannedExperiment, predicted_experiments
 from diagnosis.evidence.hypothesis_search import search
 from diagnosis.evidence.identical_motion import REPEAT, paired
 from estimation.data import table as data
 from estimation.data.table import Table
-from estimation.joint_fit import fit_reference
 from estimation.likelihood_data import MOTION
-from estimation.path_model import PATH_MODEL, usable_table
+from estimation.path_model import usable_table
 from logbook.database import open_logbook
 from parameters import InputError, read_toml
 from physics.effects.catalogue import CATALOGUE
@@ -176,9 +176,10 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
              ) -> ExperimentPlan:
     tried = tuple(sorted({t.experiment for t in trials} - {"", "gait"}))
     with threadpool_limits(1, user_api="blas"):
-        walked = [PATH_MODEL.record(t) for t in healthy]
-        reference = fit_reference(PATH_MODEL, walked, session_sd)
-        observed = reference.observe(*(PATH_MODEL.record(t) for t in trials))
+        finder = EvidenceFinder(healthy, session_sd)
+        reference = finder.reference(trials)
+        walked, given = ([finder.recording(t, reference.outputs) for t in group] for group in (healthy, trials))
+        observed = reference.observe(*given)
         pair = paired(reference, walked, observed)
         if pair is None:
             found = search(observed, reference.prior_of(observed), reference)

@@ -19,6 +19,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bowden.child_processes import unsignalled
 from bowden.deferred import on_first_use
 from bowden.progress import SILENT, Progress
 from bowden.sweep import row_trial
@@ -59,14 +60,18 @@ class Workers:
     lost: tuple[type[BaseException], ...] = (BrokenExecutor,)
 
     def submit(self, job: Job) -> Future[Any]:
-        """Hand a job to the executor, or to another one if it lost a process."""
-        try:
+        """Hand a job to the executor, or to another one if it lost a process.
+
+        Ctrl-C goes to the sweep alone, which lets a running trial end.
+        """
+        with unsignalled():
+            try:
+                return self.executor.submit(job.function, *job.arguments)
+            except BrokenExecutor:
+                if self.renewed is None:
+                    raise
+            self.executor = self.renewed()
             return self.executor.submit(job.function, *job.arguments)
-        except BrokenExecutor:
-            if self.renewed is None:
-                raise
-        self.executor = self.renewed()
-        return self.executor.submit(job.function, *job.arguments)
 
 
 def workers_of(scheduler: str | None, count: int | None = None) -> AbstractContextManager[Workers]:
@@ -78,15 +83,9 @@ def workers_of(scheduler: str | None, count: int | None = None) -> AbstractConte
 def local(count: int | None = None) -> Iterator[Workers]:
     """Yield processes on this machine, by default as many as it has processors."""
     count = count or os.cpu_count() or 1
-    opened = partial(ProcessPoolExecutor, count, mp_context=get_context("spawn"), initializer=_aside)
+    opened = partial(ProcessPoolExecutor, count, mp_context=get_context("spawn"))
     with ExitStack() as pools:
         yield Workers(pools.enter_context(opened()), count, lambda: pools.enter_context(opened()))
-
-
-def _aside() -> None:
-    """Put this process into another process group: Ctrl-C goes to the sweep alone, which lets a running trial end."""
-    if hasattr(os, "setpgid"):
-        os.setpgid(0, 0)
 
 
 @contextmanager

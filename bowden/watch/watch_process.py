@@ -6,6 +6,7 @@ waits at each gait cycle for the watch, so that a stop comes at the same row in 
 
 import contextlib
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
+from bowden.child_processes import unsignalled
 from bowden.watch import file_watch
 from bowden.watch.file_watch import FileWatch, WatchedBench
 from master.cycle.run_safely import stop_button
@@ -33,6 +35,8 @@ def run(path: Path, bench: WatchedBench, words: Connection, shown: bool) -> None
     with contextlib.suppress(OSError, AttributeError):  # Windows has no niceness
         os.nice(NICE)
     with contextlib.suppress(BrokenPipeError, EOFError, KeyboardInterrupt):
+        with contextlib.suppress(AttributeError):  # blocked until here
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
         try:
             watch = FileWatch(path, bench, replaced=True)
             words.send((READY, None))
@@ -156,7 +160,8 @@ def beside(path: Path, bench: WatchedBench, place: int = 0, *, paced: bool, show
     context = get_context("spawn")
     here, there = context.Pipe()
     process = context.Process(target=run, args=(path, bench, there, shown), daemon=True)
-    process.start()
+    with unsignalled():
+        process.start()
     there.close()
     try:
         with stop_button() as stop:

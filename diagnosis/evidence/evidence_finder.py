@@ -54,8 +54,9 @@ class EvidenceFinder:
         for given in [*trials, *self._tables]:
             missing = self.model.lacking(given)
             if missing:
-                return (f"{given.source}: has no column {', '.join(missing)}; the simulation of this rig needs it. "
-                        "Record it, in trials and reference trials alike.")
+                each = "it" if len(missing) == 1 else "them"
+                return (f"{given.source}: has no column {', '.join(missing)}; the simulation of this rig needs {each}. "
+                        f"Record {each}, in trials and reference trials alike.")
         return ""
 
     def unlike(self, trials: Sequence[Table]) -> str:
@@ -73,7 +74,7 @@ class EvidenceFinder:
 
     def _foreign(self, fit: ReferenceFit, given: Table) -> str:
         """Return a sentence if a trial does not fit the model of the bench at the origin of `fit`; else ""."""
-        trial, first = self._read(given, fit.outputs), fit.outputs.index(self.model.judged[0])
+        trial, first = self.recording(given, fit.outputs), fit.outputs.index(self.model.judged[0])
         left = trial.part(trial.data - predicted(self.model, fit.origin, trial), first)
         if np.std(left) <= self.model.unlike_share * np.std(given[self.model.judged[0]]):
             return ""
@@ -94,9 +95,9 @@ class EvidenceFinder:
         outputs = self._outputs([*trials, *holdout])
         reference = self.reference([*trials, *holdout])
         trials, others = self._by_motion(trials)
-        read = [self._read(t, outputs) for t in trials]
+        read = [self.recording(t, outputs) for t in trials]
         observed = reference.observe(*read)
-        pair = paired(reference, [self._read(t, outputs) for t in self._tables], observed)
+        pair = paired(reference, [self.recording(t, outputs) for t in self._tables], observed)
         if pair is None:
             found = search(observed, reference.prior_of(observed), reference)
         else:
@@ -114,7 +115,7 @@ class EvidenceFinder:
             said.append(f"{self._tables[pair.reference].source} has the motion of the trial: only their difference was "
                         "compared, since what the model misses repeats.")
         if others and len(decided.chosen) == 1 < len(decided.among):
-            split = _split(found, decided, reference, read, [self._read(t, outputs) for t in others])
+            split = _split(found, decided, reference, read, [self.recording(t, outputs) for t in others])
             if split is None:
                 said.append(f"{', '.join(t.source for t in others)}: no constants near those of the gaits predict it, "
                             "so it removes no effect; record it in the reference condition, too.")
@@ -130,7 +131,7 @@ class EvidenceFinder:
         at = _mode_of(found, decided)
         kept = None
         if holdout:
-            unseen = reference.observe(*(self._read(t, outputs) for t in holdout))
+            unseen = reference.observe(*(self.recording(t, outputs) for t in holdout))
             kept = HeldOut(unseen, reference.missed(unseen), rest(unseen, found.null),
                            rest(unseen, at) if decided.chosen else None, blocks_of(holdout, unseen.trials))
         relations = figures.figures(reference, kept)
@@ -171,7 +172,7 @@ class EvidenceFinder:
         """
         trials = self._by_motion(trials)[0]
         reference, outputs = self.reference(trials), self._outputs(trials)
-        return reference, reference.observe(*(self._read(t, outputs) for t in trials)), trials
+        return reference, reference.observe(*(self.recording(t, outputs) for t in trials)), trials
 
     @property
     def kind(self) -> str:
@@ -196,7 +197,7 @@ class EvidenceFinder:
         outputs = self._outputs(trials)
         key = outputs if self._tables else (*outputs, *(t.digest for t in trials))
         if key not in self._fits:
-            read = [self._read(t, outputs) for t in self._tables or trials]
+            read = [self.recording(t, outputs) for t in self._tables or trials]
             self._fits[key] = fit_reference(self.model, self.model.sessions(read), self._session_sd) if self._tables \
                 else reference_of_population(self.model, read, self._calibration)
         return self._fits[key]
@@ -216,7 +217,7 @@ class EvidenceFinder:
         """Return the outputs that the trials and the reference trials all have."""
         return tuple(n for n in self.model.signals if all(n in t for t in [*trials, *self._tables]))
 
-    def _read(self, given: Table, outputs: Sequence[str]) -> Recording:
+    def recording(self, given: Table, outputs: Sequence[str]) -> Recording:
         """Return a trial as a recording that has no other outputs than `outputs`."""
         kept = {n: v for n, v in given.columns.items() if n not in self.model.signals or n in outputs}
         made: Recording = self.model.record(replace(given, columns=kept))

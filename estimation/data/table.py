@@ -113,7 +113,7 @@ def _read_sheet(path: Path, joint: str | None) -> Table:
             raise InputError(f"{path}: {name} is in {stated} by the row of units; {offer(path)}.")
     made = table(str(path), {name: sheet.column(name) for name in known}, joint=joint)
     ignored = sorted(set(sheet.names) - set(known))
-    notes = (f"columns not known, not used: {', '.join(ignored)}",) if ignored else ()
+    notes = (f"columns not used: {', '.join(ignored)}",) if ignored else ()
     read_as = (f"read with {', '.join(sheet.remarks)}",) if sheet.remarks else ()
     return replace(made, notes=(*made.notes, *notes, *read_as))
 
@@ -160,7 +160,7 @@ def table(
     if turning:
         _refuse_mixed(source, columns, turning)
     ignored = sorted(set(columns) - set(known) - {DEGREE_ALIAS, *TURNING})
-    notes = (f"columns not known, not used: {', '.join(ignored)}",) if ignored else ()
+    notes = (f"columns not used: {', '.join(ignored)}",) if ignored else ()
     whole, inside = known, _numbered(known)
     first = int(np.argmax(whole["cycle"] >= 0.0)) if inside is not whole else 0
     known, slow = _on_rows(inside)

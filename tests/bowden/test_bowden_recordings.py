@@ -102,7 +102,7 @@ def test_a_table_of_one_row_is_listed_and_neither_cut_nor_merged(
     assert bowden("info", "one.csv")[::2] == (0, "")
     for words in (("cut", "one.csv", "--to", "1"), ("merge", "one.csv", "one.csv")):
         status, _, err = bowden(*words, "-o", "a.mcap")
-        assert (status, "not an MCAP file; give a recorded trial, or import the file first." in err) == (2, True), err
+        assert (status, "not an MCAP file; give a recorded trial, or make one: bowden import" in err) == (2, True), err
 
 
 @pytest.mark.parametrize("content", [b"hello", bytes(20), MAGIC, b""])

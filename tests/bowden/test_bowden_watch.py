@@ -16,8 +16,7 @@ from bowden.cli.app import run
 from bowden.watch.file_watch import GaitWindows
 from diagnosis.evidence.decision import threshold
 from estimation.path_model import PATH_MODEL
-from tests.hidden.family import Job
-from tests.hidden.watch_calibration import compared
+from tests.hidden.watch_calibration import Question, compared
 from trial import read
 from trial.growing import GrowingTrial
 
@@ -98,7 +97,7 @@ def test_a_reference_bench_raises_no_suspicion_and_its_trial_is_what_it_is_witho
 
 @pytest.mark.exhaustive
 def test_a_bench_that_only_the_linear_model_suspects_is_not_suspected() -> None:
-    one = compared(Job(1, (), 5000))
+    one = compared(Question("lugre", "", 13001))
     assert one.largest >= threshold(PATH_MODEL)
     assert not one.ever
     assert one.agrees

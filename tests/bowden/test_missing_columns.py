@@ -54,6 +54,24 @@ def test_a_rope_without_its_position_is_refused_in_one_sentence(
     assert refused(bowden, {"servo_position_m", "gait_percent", "cycle"}, command)
 
 
+@pytest.mark.parametrize("command", ["plan lacking.csv --healthy whole.csv",
+                                     pytest.param("discover lacking.csv --healthy whole.csv", marks=pytest.mark.slow)])
+def test_a_trial_that_lacks_an_output_of_its_reference_trials_is_judged_by_the_others(
+    here: Path, bowden: Callable[..., tuple[int, str, str]], command: str
+) -> None:
+    assert not refused(bowden, {"servo_force_n"}, command)
+
+
+def test_two_trials_of_two_rates_are_one_warning_that_names_both() -> None:
+    pull = {"servo_position_m": np.sin, "tension_start_n": np.cos}
+    first, second = (data_table.table(name, {"time_s": time, **{n: f(time) for n, f in pull.items()}})
+                     for name, time in (("trial", np.arange(0.0, 8.0, 0.004)), ("good", np.arange(0.0, 8.0, 0.001))))
+    found = [one.text for one in integrity.between([first], [], [second])
+             if "sampled" in one.text]
+    assert [text.partition(": another")[0] for text in found] == [
+        "trial: sampled every 0.004 s, the others every 0.001 s"]
+
+
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("number", range(20))
 def test_a_table_without_any_of_its_columns_is_read_or_refused_in_one_sentence(

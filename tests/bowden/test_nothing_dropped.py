@@ -154,3 +154,64 @@ def test_a_date_whose_order_is_uncertain_is_left_out_with_one_that_is_read(here:
 def test_sheets_are_no_columns_to_add(here: Path, bowden: Command) -> None:
     workbook(here / "lab.xlsx")
     assert "To use one of them" not in bowden("import", "lab.xlsx", "--guess", "-o", "map.toml")[1]
+
+
+def test_a_cell_that_is_no_number_does_not_stand_in_the_way_of_the_map_that_leaves_it_out(here: Path, bowden: Command
+                                                                                          ) -> None:
+    (here / "lab.csv").write_text("time_s,tension_end_n,tension_start_n\n0,5,OL\n0.01,5.1,6\n", encoding="utf-8")
+    assert "row 2 of tension_start_n is no number: 'OL'" in bowden("info", "lab.csv")[1]
+    assert bowden("import", "lab.csv", "-o", "lab.mcap")[0] == 2
+    assert bowden("import", "lab.csv", "--guess", "-o", "map.toml")[0] == 0
+    status, out, _ = bowden("import", "lab.csv", "--map", "map.toml", "-o", "lab.mcap")
+    assert (status, "left out: tension_start_n (row 2 has no number: 'OL')" in out) == (0, True)
+    assert set(trial.open("lab.mcap").columns) >= {"tension_end_n"}
+
+
+def test_an_import_asks_about_a_range_that_no_rope_bench_has(here: Path, bowden: Command) -> None:
+    np.savetxt("lab.csv", np.column_stack([1e3 * TIME, 20 + TIME, 5 + TIME]), delimiter=",", comments="",
+               header="time_s,servo_position_m,tension_start_n")
+    status, out, _ = bowden("import", "lab.csv", "-o", "lab.mcap")
+    assert status == 0
+    assert "Check time_s: it advances 10 s a row" in out
+    assert "Check servo_position_m: it reaches 23.99 m, more than a rope bench has: is the unit right?" in out
+    assert "tension_start_n:" not in out
+
+
+def test_german_ends_of_a_rope_are_known(here: Path, bowden: Command) -> None:
+    assert guessed(bowden, "Zeit,Kraft Anfang (N),Kraft Ende (N)", TIME, 9 + TIME, 8 + TIME)[0] == {
+        "time_s", "tension_start_n", "tension_end_n"}
+
+
+@pytest.mark.parametrize("name", ["a.blf", "a.log", "a.asc", "a.trc", "a.csv", "a.xlsx", "a.mat", "a.parquet",
+                                  "a.mcap"])
+@pytest.mark.parametrize("words", [("info",), ("import", "-o", "b.mcap")])
+def test_an_empty_file_is_said_to_be_empty(here: Path, bowden: Command, name: str, words: tuple[str, ...]) -> None:
+    (here / name).touch()
+    status, out, err = bowden(words[0], name, *words[1:])
+    assert (status, out) == (2, "")
+    assert err.startswith(f"bowden: {name}: cannot be read (the file is empty); give ")
+
+
+def test_times_that_fall_are_remarked(here: Path, bowden: Command) -> None:
+    np.savetxt("lab.csv", np.column_stack([TIME[::-1], 9 + TIME]), delimiter=",", comments="",
+               header="time_s,tension_start_n")
+    assert f"{ROWS - 1} times of time_s do not rise" in bowden("info", "lab.csv")[1]
+
+
+def test_a_recording_of_nothing_sends_nobody_to_an_import(here: Path, bowden: Command) -> None:
+    from mcap.writer import Writer
+
+    with (here / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.finish()
+    assert "no topics: nothing was recorded" in bowden("info", "a.mcap")[1]
+    for command in ("report", "diagnose"):
+        status, _, err = bowden(command, "a.mcap", *(("-o", "a.html") if command == "report" else ()))
+        assert (status, err) == (2, "bowden: a.mcap: has no topics, so nothing was recorded; record again.\n")
+
+
+def test_a_table_in_a_trial_s_place_comes_with_the_import(here: Path, bowden: Command) -> None:
+    np.savetxt("lab.csv", TIME, header="time_s", comments="")
+    assert bowden("report", "lab.csv", "-o", "a.html")[2] == (
+        "bowden: lab.csv: not an MCAP file; give a recorded trial, or make one: bowden import lab.csv -o trial.mcap.\n")

@@ -6,7 +6,9 @@ import csv
 import importlib
 import json
 import shutil
+import signal
 import subprocess
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -70,6 +72,35 @@ def test_an_interruption_loses_no_trial_that_was_under_way(tmp_path: Path) -> No
     assert done[0] == "1"
     assert len(done) in (1, 2)
     assert all(row["outcome"] == "completed" for row in lines(tmp_path / "t.csv"))
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows blocks no signals")
+def test_a_worker_is_out_of_reach_of_ctrl_c_from_its_first_instruction() -> None:
+    with run.local(1) as workers:
+        blocked = workers.submit(run.Job("", signal.pthread_sigmask, (signal.SIG_BLOCK, ()))).result()
+    assert {signal.SIGINT, signal.SIGHUP, signal.SIGQUIT} <= blocked
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+STARTED = """
+import multiprocessing, signal
+from bowden.child_processes import unsignalled
+context = multiprocessing.get_context("spawn")
+near, far = context.Pipe()
+process = context.Process(target=far.recv)
+with unsignalled():
+    process.start()
+blocked = [line for line in open(f"/proc/{process.pid}/status") if line.startswith("SigBlk")][0]
+print(int(blocked.split()[1], 16) >> signal.SIGINT - 1 & 1)
+near.send(None)
+process.join()
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc/PID/status")
+def test_the_first_process_of_a_command_is_out_of_reach_of_ctrl_c(here: Path) -> None:
+    started = subprocess.run([sys.executable, "-c", STARTED], capture_output=True, text=True, check=False)
+    assert (started.stdout, started.stderr) == ("1\n", "")
 
 
 @pytest.mark.parametrize("tempo", [0.9, pytest.param(1.1, marks=pytest.mark.slow)])

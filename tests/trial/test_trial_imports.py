@@ -251,7 +251,8 @@ def test_frames_of_any_ros_2_recording_are_read(tmp_path: Path) -> None:
 CSV_REFUSED = {
     "no time": ("servo_position_m\n1\n", "has no column time_s"),
     "header only": ("time_s,cycle\n", "a header and no rows"),
-    "empty": ("", "row 1 is no header"),
+    "empty": ("", "the file is empty"),
+    "blank lines": ("\n\n", "row 1 is no header"),
     "a column twice": ("time_s,cycle,cycle\n0,0,0\n", "names the column 'cycle' 2 times"),
     "a word": ("time_s,cycle\n0,0\n1,zero\n", "row 3: cycle = 'zero' is not a number"),
     "an infinite value": ("time_s,cycle\n0,0\n1,inf\n", "row 3: cycle = inf is not finite"),
@@ -314,10 +315,11 @@ FILES_REFUSED: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "an endless line": ("bench.log.gz", lambda path: path.write_bytes(gzip.compress(bytes(9 << 20), 9)),
                         "a line is longer than"),
     "a bombed blf": ("bench.blf", lambda path: path.write_bytes(blf_bomb()), "a container unpacks to more"),
-    "a gzipped asc": ("bench.asc.gz", lambda path: path.touch(), "holds no CAN frame"),
+    "a gzipped asc": ("bench.asc.gz", lambda path: path.write_bytes(gzip.compress(b"date Mon Foo\n")),
+                      "holds no CAN frame"),
     "no blf": ("bench.blf", lambda path: path.write_bytes(b"LOGG" + bytes(99)), "after 0 frames"),
     "no asc": ("bench.asc", lambda path: path.write_text("date Mon Foo\n"), "holds no CAN frame"),
-    "an empty log": ("bench.log", lambda path: path.touch(), "holds no CAN frame"),
+    "an empty log": ("bench.log", lambda path: path.write_text("\n"), "holds no CAN frame"),
 }
 
 

@@ -160,6 +160,8 @@ def _mcap(path: Path) -> Contents:
     if len(ends):
         found.begins_ns = int(ends.min())
         found.seconds = (int(ends.max()) - found.begins_ns) / 1e9
+    if not found.streams:
+        found.remarks.append("no topics: nothing was recorded")
     _columns_of_trial(path, found)
     return found
 
@@ -217,10 +219,10 @@ def _table(path: Path, sheet: LabTable) -> Contents:
     found.remarks += [f"read with {', '.join(sheet.remarks)}"] if sheet.remarks else []
     for name in sheet.names:
         if name in sheet.faults:
-            row, _ = sheet.faults[name]
+            row, cell = sheet.faults[name]
             found.columns.append(ColumnSummary(name, "no numbers", None, None, len(sheet)))
             if name in UNITS:
-                found.remarks.append(f"row {row} of {name} is no number")
+                found.remarks.append(f"row {row} of {name} is no number: {cell[:40]!r}")
         else:
             unit = UNITS.get(name) or sheet.unit(name) or split_unit(name)[1]
             found.columns.append(_column(name, unit, sheet.column(name)))
@@ -234,6 +236,9 @@ def _table(path: Path, sheet: LabTable) -> Contents:
 def _clock(sheet: LabTable, found: Contents) -> None:
     guess = next((one for one in guesses(sheet) if one.signal == "time_s"), None)
     if guess is None:
+        if "time_s" in sheet and "time_s" not in sheet.faults:
+            falls = int(np.count_nonzero(np.diff(sheet.column("time_s")) <= 0))
+            found.remarks.append(f"{falls} times of time_s do not rise")
         return
     values = sheet.column(guess.column) * SignalSource(guess.column, guess.unit).factor("time_s", str(sheet.path))
     known = values[np.isfinite(values)]

@@ -59,7 +59,7 @@ class Columns:
     """Columns by signal name, counts, and the headers left out; `rows` number the rows as the file does.
 
     `remarks` lists how the file was read; `begins_ns` is the time since 1970 at which `time_s` is 0, if the file gives
-    it.
+    it; `questions` are, by signal, about a range beyond a rope bench.
     """
 
     columns: dict[str, Floats]
@@ -68,6 +68,7 @@ class Columns:
     rows: np.ndarray[tuple[int], np.dtype[np.int64]] | range = range(0)
     remarks: list[str] = field(default_factory=list)
     begins_ns: int | None = None
+    questions: dict[str, str] = field(default_factory=dict)
 
 
 def read_map(path: Path) -> Map:
@@ -95,8 +96,8 @@ def read(path: Path, mapped: Mapping[str, SignalSource] | None = None) -> Column
 def columns_of(sheet: LabTable, mapped: Mapping[str, SignalSource] | None = None) -> Columns:
     """Take signals out of a sheet; raises `InputError` without time, for units that do not fit and bad cells."""
     path = sheet.path
-    sources = dict(_canonical(sheet, mapped or {})) | dict(mapped or {})
-    columns = {}
+    sources = dict(_canonical(sheet, mapped)) | dict(mapped or {})
+    columns: dict[str, Floats] = {}
     for signal, source in sources.items():
         if source.column not in sheet:
             raise InputError(f"{path}: the map takes {signal} from {source.column!r}, which is no column of the file; "
@@ -112,9 +113,20 @@ def columns_of(sheet: LabTable, mapped: Mapping[str, SignalSource] | None = None
     unknown = int(sum(np.isnan(column).sum() for column in columns.values()))
     return Columns(
         columns, {"rows": len(sheet), "unknown_values": unknown, **sheet.counts},
-        [*(name for name in sheet.names if name not in sources_used),
+        [*(name + (f" (row {sheet.faults[name][0]} has no number: {sheet.faults[name][1]!r})"
+                   if reserved(name) and name in sheet.faults else "")
+           for name in sheet.names if name not in sources_used),
          *(f"{name} ({why})" for name, why in sheet.left_out.items())], sheet.rows, sheet.remarks,
-        sheet.begins_ns.get(sources["time_s"].column))
+        sheet.begins_ns.get(sources["time_s"].column), _questions(columns))
+
+
+def _questions(columns: Mapping[str, Floats], slow_s: float = 0.5) -> dict[str, str]:
+    """Return the questions about columns in their signals' units; `slow_s`: longest usual step of time, s."""
+    usual = float(np.median(np.diff(columns["time_s"]))) if len(columns["time_s"]) > 1 else 0.0
+    slow = {"time_s": f"advances {usual:.4g} s a row, so that motion is not seen: is it in milliseconds?"}
+    asked = {name: _question(UNITS[name], UNITS[name], True, values[np.isfinite(values)])
+             for name, values in columns.items() if UNITS[name] in MOST and np.isfinite(values).any()}
+    return {name: question for name, question in ((slow if usual > slow_s else {}) | asked).items() if question}
 
 
 def offer(path: Path) -> str:
@@ -127,11 +139,13 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names[:30]) + (f" and {len(names) - 30} more" if len(names) > 30 else "")
 
 
-def _canonical(sheet: LabTable, mapped: Mapping[str, SignalSource]) -> list[tuple[str, SignalSource]]:
-    named = [(name, SignalSource(column=name)) for name in sheet.names if name in UNITS and name not in mapped]
+def _canonical(sheet: LabTable, mapped: Mapping[str, SignalSource] | None) -> list[tuple[str, SignalSource]]:
+    """Return signals whose column has their name; beside a map, only those whose cells are numbers."""
+    named = [(name, SignalSource(column=name)) for name in sheet.names if name in UNITS and name not in (mapped or {})
+             and not (mapped and name in sheet.faults)]
     for name, source in named:
         _refuse_other_unit(sheet, name, source)
-    if DEGREE_ALIAS in sheet and "gait_percent" in sheet and not {"knee_angle_rad"} & (set(sheet.names) | set(mapped)):
+    if DEGREE_ALIAS in sheet and "gait_percent" in sheet and not {"knee_angle_rad"} & {*sheet.names, *(mapped or {})}:
         named.append(("knee_angle_rad", SignalSource(column=DEGREE_ALIAS, unit="deg")))
     return named
 
@@ -157,11 +171,11 @@ ROPE = _words("rope cable wire tendon bowden motor servo drum winch actuator pos
 SPEED = _words("velocity vel speed geschwindigkeit vitesse velocidad sudu")
 KNEE = _words("knee knie joint angle winkel flexion gelenk theta genou angulo rodilla jiaodu xiguanjie guanjie "
               "xijiao xigai xibu zhuanjiao")
-NEAR = _words("start input in proximal prox motorside upstream near front 1 a antrieb eingang source vorne vorn "
+NEAR = _words("start input in proximal prox motorside upstream near front 1 a antrieb eingang anfang source vorne vorn "
               "vorder ein avant entree amont delantera delantero entrada shuru "
               "jinduan qian qianduan qianli ruduan rukou shiduan "
               "in")
-FAR = _words("end output out distal dist loadside downstream far rear back 2 b abtrieb ausgang tip hinten hinter "
+FAR = _words("end output out distal dist loadside downstream far rear back 2 b abtrieb ausgang tip hinten hinter ende "
              "arriere sortie aval trasera trasero salida shuchu yuanduan hou houduan houli aus "
              "moduan chuduan chukou zhongduan")
 GUESS = _words("estimate estimated est model predicted")

@@ -39,13 +39,17 @@ READING = 0.7  # of the share: of a CAN log the reading takes longer than the wr
 
 @dataclass
 class ImportReport:
-    """Result of an import: counts by name (zeros left out), columns left out, and how the file was read."""
+    """Result of an import: counts by name (zeros left out), columns left out, and how the file was read.
+
+    `questions` are, by signal, about a range beyond a rope bench.
+    """
 
     source: Path
     counts: dict[str, int] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
     channels: dict[str, int] = field(default_factory=dict)
     read_as: list[str] = field(default_factory=list)
+    questions: dict[str, str] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, object]:
         """Return the report as the trial's result keeps it."""
@@ -112,6 +116,8 @@ def _reader(source: Path) -> Reader:
                **dict.fromkeys(PYTHON_CAN, _from_python_can)}
     if ending not in readers:
         raise InputError(f"{source}: the ending {ending or 'is missing and'} names no format; expected {FORMATS}.")
+    if source.is_file() and not source.stat().st_size:
+        raise InputError(f"{source}: cannot be read (the file is empty); give a recording, a log or a table.")
     return readers[ending]
 
 
@@ -159,7 +165,7 @@ def _is_python_cans(source: Path) -> bool:
 def _from_table(source: Path, report: ImportReport, asked: ImportRequest) -> TrialContent:
     table = csv_table.read(source, asked.mapped)
     report.counts |= table.counts
-    report.left_out, report.read_as = table.left_out, table.remarks
+    report.left_out, report.read_as, report.questions = table.left_out, table.remarks, table.questions
     times, columns = _ordered(source, table, report)
     if table.begins_ns is not None and table.begins_ns >= 0:
         times = times + table.begins_ns

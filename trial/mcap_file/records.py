@@ -128,7 +128,8 @@ def checksum(view: View, end: int) -> int:
 def magic(view: View, path: str | Path) -> None:
     """Raise `InputError` where a file does not begin as an MCAP file does."""
     if view[:len(mcap.MAGIC)] != mcap.MAGIC:
-        raise InputError(f"{path}: not an MCAP file; give a recorded trial, or import the file first.")
+        raise InputError(f"{path}: not an MCAP file; give a recorded trial, or make one: bowden import {path} "
+                         "-o trial.mcap.")
 
 
 def records(view: View, at: int, end: int) -> Iterator[tuple[int, int, int]]:
