@@ -20,12 +20,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from trial.signals import FORCE_FIGURES
+
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 END, TRUE_END = "tension_end_n", "true_end_n"
 NEEDED = ("gait_percent", "cycle", "desired_force_n", END)
-FIGURES = ("relative_rmse_percent", "relative_rmse_window_percent", "max_idle_tension_n", "peak_jump_n")
+FIGURES = tuple(figure.name for figure in FORCE_FIGURES)
 WINDOW_PERCENT = (10.0, 30.0)  # where the paper's force is not zero, formula (2)
 IDLE_OUTSIDE_PERCENT = (8.0, 32.0)  # two percent of the gait away from it
 PEAK_PERCENT = 2.0  # either side of the peak

@@ -40,6 +40,14 @@ MOTION_AND_FORCE = (
     Signal("cycle", "1", "number of the gait cycle, from 0"),
 )
 
+FORCE_FIGURES = (
+    Signal("relative_rmse_percent", "%", "relative RMSE of END"),
+    Signal("relative_rmse_window_percent", "%", "relative RMSE of END, 10…30 % of gait"),
+    Signal("max_idle_tension_n", "N", "largest END at idle"),
+    Signal("peak_jump_n", "N", "jump of END at the peak"),
+)
+"""Figures of a trial's force, which `trial.metrics` computes; no columns of `/cycle`."""
+
 PDO_NAMES = ("servo", "knee", "start", "end")
 
 PDO_TIMING = (

@@ -35,6 +35,7 @@ from parameters import InputError
 from physics.forward.path_constants import FREE, TABLE
 from trial import read
 from trial.read import one_path, path_names
+from trial.signals import FORCE_FIGURES
 
 with on_first_use():
     from bowden.models.diagnosing import Diagnosis
@@ -45,7 +46,6 @@ EPOCH_NS: Final = 10**17
 """Time of a recording, ns, from which it is a date and not a time since the start: 1973."""
 ENTERED: Final = ("verdict", "causes", "class", "experiment")
 """Keys of a diagnosis that the logbook stores."""
-FIGURES: Final = ("relative_rmse_percent", "relative_rmse_window_percent", "max_idle_tension_n", "peak_jump_n")
 
 
 def add(folder: Path, files: Mapping[Path, str | None], figures: Mapping[str, Any] | None = None
@@ -175,13 +175,11 @@ def _described(path: Path, figures: Mapping[str, Any] | None, force_path: str) -
     outcome = None if "imported_from" in told else str(result.get("outcome", "not closed"))
     lasts = float(recorded.time_ns[-1] - recorded.time_ns[0]) * 1e-9 if len(recorded.time_ns) else 0.0
     return NewTrial(path, digest, told.get("experiment", ""), outcome, lasts, told | _recorded_date(recorded),
-                    _figures(recorded) if figures is None else {k: figures.get(k) for k in FIGURES},
-                    told.get("commit", ""))
+                    _figures(judged(recorded) if figures is None else figures), told.get("commit", ""))
 
 
-def _figures(recorded: read.Trial) -> dict[str, Any]:
-    found = judged(recorded)
-    return {name: found.get(name) for name in FIGURES} if found else {}
+def _figures(found: Mapping[str, Any]) -> dict[str, Any]:
+    return {one.name: found.get(one.name) for one in FORCE_FIGURES} if found else {}
 
 
 def _recorded_date(recorded: read.Trial) -> dict[str, str]:

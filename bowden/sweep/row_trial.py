@@ -20,11 +20,11 @@ from bowden.sweep.rows import IDENTIFIED, NOMINAL, Row, motion, plant_model, ref
 from bowden.trials import provenance, session
 from parameters import InputError
 from physics.calibration import write
+from trial.signals import FORCE_FIGURES
 
 FIGURES = (
     "trial", "peak_n", "period_s", "cycles", "rate_hz", "serial", "controller", "calibration",
-    "relative_rmse_percent", "relative_rmse_window_percent", "max_idle_tension_n", "peak_jump_n",
-    "true_relative_rmse_percent", "true_relative_rmse_window_percent", "true_max_idle_tension_n", "true_peak_jump_n",
+    *(one.name for one in FORCE_FIGURES), *(f"true_{one.name}" for one in FORCE_FIGURES),
     "missed_cycles", "stale_inputs", "bus_load_percent", "bus_load_bound_percent", "simulated_s", "wall_s", "outcome",
     "stop_reason",
 )

@@ -4,7 +4,6 @@ END is the reading of its sensor, and the figures are those of `trial.metrics`; 
 """
 
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -17,11 +16,7 @@ from trial.report.compare_page import judged
 from trial.report.overview import setting
 from trial.report.page import Page
 from trial.report.plot import Plot, Series
-
-FIGURES: Final = (
-    ("relative_rmse_percent", "relative RMSE, whole cycles", "%"),
-    ("relative_rmse_window_percent", "relative RMSE, 10…30 % of gait", "%"),
-    ("max_idle_tension_n", "largest END at idle", "N"), ("peak_jump_n", "jump at the peak", "N"))
+from trial.signals import FORCE_FIGURES
 
 
 def section(page: Page, before: str | Path, after: str | Path, colours: tuple[str, str]) -> None:
@@ -40,7 +35,7 @@ def section(page: Page, before: str | Path, after: str | Path, colours: tuple[st
               f"{trials[1].metadata.get('controller_model', 'nothing')}: END by its sensor less the desired force.",
               "note")
     page.table(("figure", "unit", "uncompensated", "compensated"), [
-        (words, unit, found[0][name], found[1][name]) for name, words, unit in FIGURES])
+        (one.text, one.unit, found[0][one.name], found[1][one.name]) for one in FORCE_FIGURES])
     _error(page, trials, colours)
 
 

@@ -10,7 +10,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
 
-from bowden import output_files
 from bowden.bench import buses
 from bowden.cli import options, terminal
 from bowden.cli.app import app
@@ -54,7 +53,6 @@ def monitor(
         "Write the PDOs' layout as DBC.", "a layout of PDOs", ".dbc", name="--dbc")] = None,
     mf4: Annotated[Path | None, new_file(
         "Write the PDOs' values as MF4.", "a recording of values", ".mf4", name="--mf4")] = None,
-    overwrite: options.Overwrite = False,
 ) -> CommandAnswer | int:
     """Show each frame of a bus or of a file in words.
 
@@ -67,7 +65,7 @@ def monitor(
     kinds, wanted = _kinds(only), _nodes(nodes)
     reader = FrameReader(_dictionaries(eds)) if eds else of_wire(wire(network))
     if dbc is not None:
-        terminal.remark(f"{dbc}: {write_dbc(reader, dbc, overwrite=overwrite)} PDOs.")
+        terminal.remark(f"{dbc}: {write_dbc(reader, dbc, overwrite=True)} PDOs.")
     recording = SignalRecording(reader)
     counts: Counter[int] = Counter()
     names: dict[int, str] = {}
@@ -97,7 +95,7 @@ def monitor(
         lost = getattr(bus, "lost", 0)
     span_s = max((last_ns - (first_ns or 0)) / 1e9, 1e-9)
     if mf4 is not None:
-        terminal.remark(f"{mf4}: values of {recording.write(mf4, overwrite=overwrite)} PDOs.")
+        terminal.remark(f"{mf4}: values of {recording.write(mf4, overwrite=True)} PDOs.")
     if lost:
         terminal.remark(f"{lost} frames were lost, because they came faster than they were read.")
     if not table:
@@ -205,6 +203,7 @@ def _nodes(nodes: str | None) -> frozenset[int]:
         raise InputError(f"--node {nodes}: expected node ids; write for instance 1,5.") from None
 
 
+NewRecording = Annotated[Path, new_file("File to write.", *options.RECORDING)]
 Frames = Annotated[int | None, option("End after so many frames.", metavar="N", min=1)]
 MaxSize = Annotated[float | None, option("A new file after so many MB.", metavar="MB", min=0.01)]
 MaxTime = Annotated[float | None, option("A new file after so many s of bus time.", metavar="S", min=0.001)]
@@ -212,10 +211,9 @@ MaxTime = Annotated[float | None, option("A new file after so many s of bus time
 
 @app.command()
 def record(
-    output: options.Output, interface: options.AnyInterface, channel: options.Channel = None,
+    output: NewRecording, interface: options.AnyInterface, channel: options.Channel = None,
     bitrate: options.Bitrate = None, option: options.Extra = None, *, seconds: options.Seconds = None,
     frames: Frames = None, max_size: MaxSize = None, max_time: MaxTime = None, config: options.Config = None,
-    overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Record a bus, listening only.
 
@@ -226,8 +224,7 @@ def record(
     """
     reached = Bus(interface, channel, bitrate, option, config=config)
     network, chosen = reached.network(), reached.chosen()
-    output_files.refuse_ending(output, ".mcap", what="a recording")
-    made = BusRecording(output, wire(network), overwrite=overwrite, about={
+    made = BusRecording(output, wire(network), overwrite=True, about={
         "interface": interface, "channel": channel or "", "bitrate": str(bitrate or network.bitrate)},
         max_bytes=None if max_size is None else round(max_size * 1e6),
         max_ns=None if max_time is None else round(max_time * 1e9))

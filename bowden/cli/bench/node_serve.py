@@ -163,9 +163,7 @@ def apply(file: File, reached: Bus, force: Force = False) -> CommandAnswer:
 
 
 @node.command()
-def export(
-    output: options.Output, reached: Bus, eds: Eds = None, overwrite: options.Overwrite = False,
-) -> CommandAnswer:
+def export(output: options.Output, reached: Bus, eds: Eds = None) -> CommandAnswer:
     """Write the nodes of a bus, with their PDOs as they are set, as a bus.yml of ros2_canopen.
 
     Example: bowden node export -o bus.yml
@@ -178,6 +176,6 @@ def export(
             shutil.copy(path, output.parent / path.name)
     bus_yml.write(output, bus_yml.of_devices(devices, {
         "node_id": 127, "driver": "ros2_canopen::MasterDriver", "package": "canopen_master_driver",
-        "baudrate": reached.network().bitrate // 1000}), overwrite=overwrite)
+        "baudrate": reached.network().bitrate // 1000}), overwrite=True)
     return CommandAnswer({"file": str(output), "nodes": [one.node_id for one in devices]},
                          f"{output}: {len(devices)} nodes.", 0 if devices else 1)

@@ -56,12 +56,16 @@ def live(
 
     Example: bowden live trial.mcap --web 8080 --for 5
     """
-    if (trial is None) == (reached.interface is None):
-        raise NothingGivenError("TRIAL | --interface NAME",
-                                "a live view shows a trial or a bus; give either a file or --interface.")
+    _refuse_both(trial, reached, "a live view shows")
     if trial is not None:
         return _play(trial, reached, speed, web, ending.after(seconds))
     return _follow_bus(reached, web, ending.after(seconds))
+
+
+def _refuse_both(trial: Path | None, reached: Bus, what: str) -> None:
+    if (trial is None) == (reached.interface is None):
+        raise NothingGivenError("TRIAL | --interface NAME",
+                                f"{what} a trial or a bus; give either a file or --interface.")
 
 
 def _show_page(page: LivePage) -> None:
@@ -115,7 +119,7 @@ LOOK_S = 0.1
 @app.command()
 def watch(
     trial: Written = None, output: Recording = None, healthy: options.Healthy = None, logbook: Book = None, *,
-    reached: Bus, seconds: options.Seconds = None, path: options.ForcePath = None, overwrite: options.Overwrite = False,
+    reached: Bus, seconds: options.Seconds = None, path: options.ForcePath = None,
 ) -> CommandAnswer:
     """Diagnose a trial while it is written, or a bus that is only listened to.
 
@@ -123,9 +127,7 @@ def watch(
 
     Example: bowden trial --cycles 3 -o good.mcap && bowden watch trial.mcap --healthy good.mcap
     """
-    if (trial is None) == (reached.interface is None):
-        raise NothingGivenError("TRIAL | --interface NAME",
-                                "a watch reads a trial or a bus; give either a file or --interface.")
+    _refuse_both(trial, reached, "a watch reads")
     refuse_no_logbook(logbook)
     bench = replace(watched_bench(healthy, logbook), path=logbook_entries.path_of(logbook, path))
     if trial is not None:
@@ -133,7 +135,7 @@ def watch(
             raise InputError(f"{trial}: a watch reads a trial (.mcap) while it is written; say "
                              f"bowden diagnose {trial}, or make a trial of it with bowden import.")
         return _file(trial, bench, seconds)
-    return _bus(reached, output, bench, seconds, overwrite=overwrite)
+    return _bus(reached, output, bench, seconds)
 
 
 def _file(trial: Path, bench: WatchedBench, seconds: float | None) -> CommandAnswer:
@@ -161,8 +163,7 @@ def _looked(watched: FileWatch, ended: Callable[[], bool]) -> Iterator[WatchVerd
     yield from watched.look(last=True)
 
 
-def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float | None, *, overwrite: bool
-         ) -> CommandAnswer:
+def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float | None) -> CommandAnswer:
     """Record the bus in this process, and watch the recording in another one."""
     if output is None:
         raise InputError("a watch records the bus that it watches; name the file with -o FILE.")
@@ -171,7 +172,7 @@ def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float 
     failure = None
     with watch_process.beside(output, bench, paced=False, shown=not terminal.quiet()) as watched, \
             buses.opened_one(reached.chosen(), network.bitrate) as heard:
-        with BusRecording(output, wire(network), overwrite=overwrite, about=about) as made:
+        with BusRecording(output, wire(network), overwrite=True, about=about) as made:
             terminal.remark(f"watching {reached.interface} {reached.channel or ''}; Ctrl-C ends it.")
             try:
                 failure = made.listen(heard, seconds, None)

@@ -11,7 +11,6 @@ from bowden.cli import options, terminal
 from bowden.cli.app import CommandGroup, app
 from bowden.cli.options import argument, new_file, option
 from bowden.cli.terminal import CommandAnswer
-from bowden.cli.trials.trial import FORCE_FIGURES
 from bowden.deferred import on_first_use
 from parameters import InputError
 
@@ -22,6 +21,7 @@ with on_first_use():
     from logbook.bench_page import export_table
     from logbook.bench_state import BenchState, constants_of
     from logbook.database import TrialEntry, open_logbook
+    from trial import signals
     from trial.report import words
 
 logbook = CommandGroup(help="Track a bench's constants over months.", rich_markup_mode=None)
@@ -189,8 +189,8 @@ def _tell_trial(entry: TrialEntry, verdicts: Sequence[dict[str, Any]]) -> None:
     print(f"Trial {entry.id}, session {entry.label}: {entry.path}" + ("" if entry.there else " (not found)"))
     print(f"  entered {entry.added}; {words.quantity(entry.seconds, 's')} recorded"
           + ("" if entry.estimated else f"; not fitted: {entry.remark}"))
-    figures = {label.strip(): terminal.number(entry.figures[name]) for label, name in FORCE_FIGURES
-               if entry.figures.get(name) is not None}
+    figures = {f"{one.text} ({one.unit})": terminal.number(entry.figures[one.name]) for one in signals.FORCE_FIGURES
+               if entry.figures.get(one.name) is not None}
     for name, value in (words.shown(entry.conditions) | {"outcome": entry.outcome} | figures).items():
         print(f"  {name}: {value}")
     for verdict in verdicts:

@@ -26,6 +26,7 @@ with on_first_use():
     from physics import bench_model
     from physics.bench_model import BenchModel
     from physics.forward.path_parameters import SimulatedTensions
+    from trial import signals
 
 Trial = Annotated[Path, argument("TRIAL", "MCAP, or CSV (.gz) with rope position and knee angle (none: locked).")]
 Model = Annotated[Path | None, option(
@@ -82,10 +83,6 @@ VerifiedModel = Annotated[Path, argument("EXTENDED", "extended.toml of bowden di
 VerifiedTrials = Annotated[Path, option(
     "Trials to write: FILE with -before and -after before its suffix.", "-o", "--output", metavar="FILE")]
 
-VERIFIED = {
-    "relative RMSE (%)": "relative_rmse_percent", "  within 10…30 % of gait (%)": "relative_rmse_window_percent",
-    "largest at idle (N)": "max_idle_tension_n", "jump at the peak (N)": "peak_jump_n"}
-
 
 @app.command()
 def verify(
@@ -135,8 +132,9 @@ def _tell_verified(result: dict[str, Any], figures: dict[str, dict[str, Any]]) -
     terminal.table(
         f"{changes}: END {'true' if true else 'by its sensor'}, controller {figures['after']['controller']}",
         ("END", "uncompensated", "compensated"), [
-            (text, *(figure(figures[name][f"true_{key}" if true else key]) for name in ("before", "after")))
-            for text, key in VERIFIED.items()])
+            (f"{one.text} ({one.unit})",
+             *(figure(figures[name]["true_" * true + one.name]) for name in ("before", "after")))
+            for one in signals.FORCE_FIGURES])
     print(f"Gain in relative RMSE: {figure(result['gain_percent'], 1)} %")
     for name, one in figures.items():
         print(f"Trial {name}: {one['trial']}" + (f", stopped: {one['stop_reason']}" if one["stop_reason"] else ""))

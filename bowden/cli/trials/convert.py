@@ -47,7 +47,6 @@ Page = Annotated[Path | None, new_file("Both trials in one HTML page.", *options
 @app.command("import")
 def import_(
     source: Source, output: options.Output, columns: Map = None, guess: Guess = False, sheet: Sheet = None,
-    overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Make a trial of a table or a CAN log.
 
@@ -59,14 +58,14 @@ def import_(
     if guess:
         if columns is not None:
             raise InputError("--guess writes a map and --map reads one; leave one of them out.")
-        return _guess(source, output, sheet or "", overwrite=overwrite)
+        return _guess(source, output, sheet or "")
     output_files.refuse_ending(output, ".mcap", what="a trial")
     mapped = None if columns is None else csv_table.read_map(columns)
     if sheet:
         mapped = mapped or csv_table.Map()
         mapped.dialect = Dialect(sheet=sheet)
     with terminal.progress(f"importing {source}") as update:
-        report = import_file(source, output, mapped=mapped, overwrite=overwrite, progress=update)
+        report = import_file(source, output, mapped=mapped, overwrite=True, progress=update)
     read_as = f"{source}: read with {', '.join(report.read_as)}."
     table = columns is None and bool(report.left_out) and "rows" in report.counts
     return CommandAnswer({"trial": str(output), **report.as_json()}, [
@@ -77,10 +76,10 @@ def import_(
         *([f"To use what was left out: bowden import {source} --guess -o map.toml."] if table else [])])
 
 
-def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool) -> CommandAnswer:
+def _guess(source: Path, output: Path, sheet_name: str) -> CommandAnswer:
     output_files.refuse_ending(output, ".toml", what="a map")
     sheet = table_of(source, sheet_name)
-    write_whole(output, csv_table.text(sheet, str(output)), overwrite=overwrite)
+    write_whole(output, csv_table.text(sheet, str(output)), overwrite=True)
     found = csv_table.guesses(sheet)
     others = csv_table.unassigned(sheet, found)
 
@@ -109,9 +108,7 @@ def _guess(source: Path, output: Path, sheet_name: str, *, overwrite: bool) -> C
 
 
 @app.command()
-def export(
-    trial: options.Trial, output: options.Output, mat73: Mat73 = False, overwrite: options.Overwrite = False,
-) -> CommandAnswer:
+def export(trial: options.Trial, output: options.Output, mat73: Mat73 = False) -> CommandAnswer:
     """Write a trial as a table or a CAN log.
 
     csv, csv.gz, xlsx, tdms, parquet, mf4 and mat hold its cycles; log, asc, blf and trc its frames.
@@ -119,14 +116,14 @@ def export(
     Example: bowden export trial.mcap -o trial.csv
     """
     with terminal.progress(f"exporting {trial}") as update:
-        rows = exported(open_file(trial), output, mat73=mat73, overwrite=overwrite, progress=update)
+        rows = exported(open_file(trial), output, mat73=mat73, overwrite=True, progress=update)
     return CommandAnswer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
 
 
 @app.command()
 def compare(
     a: A, b: B = None, logbook: History = None, report: Page = None, everything: Everything = False,
-    controllers: Controllers = False, picture: Picture = None, overwrite: options.Overwrite = False,
+    controllers: Controllers = False, picture: Picture = None,
 ) -> CommandAnswer:
     """Compare two trials: their four figures, and the differences in five lines.
 
@@ -148,7 +145,7 @@ def compare(
         one, other = opened(a), opened(b)
         found = compared(one, other)
         if report is not None:
-            compare_page.write(one, other, found, report, overwrite=overwrite)
+            compare_page.write(one, other, found, report, overwrite=True)
 
     def words() -> None:
         _four_figures(compare_page.judged(one), compare_page.judged(other))

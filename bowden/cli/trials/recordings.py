@@ -81,7 +81,6 @@ def _tell(found: Contents) -> None:
 @app.command()
 def cut(
     file: Recording, output: NewRecording, from_: From = None, to: To = None, gait: Gait = None,
-    overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Write a part of a recording.
 
@@ -94,7 +93,7 @@ def cut(
     if gait is not None and (from_ is not None or to is not None):
         raise InputError("cut: --gait counts gait cycles, --from and --to seconds; give one kind.")
     with terminal.waiting(f"cutting {file}"):
-        found = edit.cut(file, output, from_s=from_ or 0.0, to_s=to, gait=_span(gait), overwrite=overwrite)
+        found = edit.cut(file, output, from_s=from_ or 0.0, to_s=to, gait=_span(gait), overwrite=True)
     return _written(output, found)
 
 
@@ -108,9 +107,7 @@ def _span(gait: str | None) -> tuple[int, int] | None:
 
 
 @app.command()
-def merge(
-    files: Several, output: NewRecording, overwrite: options.Overwrite = False,
-) -> CommandAnswer:
+def merge(files: Several, output: NewRecording) -> CommandAnswer:
     """Write several recordings as one, by time.
 
     Parts of one recording, or recordings of different topics.
@@ -119,7 +116,7 @@ def merge(
     bowden merge a.mcap b.mcap -o whole.mcap
     """
     with terminal.waiting("merging"):
-        found = edit.merge(files, output, overwrite=overwrite)
+        found = edit.merge(files, output, overwrite=True)
     return _written(output, found)
 
 
@@ -130,9 +127,7 @@ def _written(output: Path, found: EditSummary) -> CommandAnswer:
 
 
 @app.command()
-def recover(
-    torn: Torn, output: Recovered, overwrite: options.Overwrite = False,
-) -> CommandAnswer:
+def recover(torn: Torn, output: Recovered, overwrite: options.Overwrite = False) -> CommandAnswer:
     """Repair a torn recording.
 
     Every message that survived is written, indexed again.
@@ -148,9 +143,7 @@ def recover(
 
 
 @app.command()
-def report(
-    trial: options.Trial, output: options.Page, path: options.ForcePath = None, overwrite: options.Overwrite = False,
-) -> CommandAnswer:
+def report(trial: options.Trial, output: options.Page, path: options.ForcePath = None) -> CommandAnswer:
     """Write a trial as one offline HTML page.
 
     Figures, plots that zoom together, timing, bus load and events; of several force paths all, or one with --path.
@@ -159,5 +152,5 @@ def report(
     """
     with terminal.waiting(f"reading {trial}"):
         recorded = force_paths.opened(trial, path, whole=True)
-    size = figures.write_trial_page(recorded, output, overwrite=overwrite, progress=terminal.TERMINAL)
+    size = figures.write_trial_page(recorded, output, overwrite=True, progress=terminal.TERMINAL)
     return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {terminal.size(size)}.")

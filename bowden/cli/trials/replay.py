@@ -62,7 +62,7 @@ def replay(
     context: typer.Context, trial: options.Trial, onto: Onto, speed: Speed = 1.0, loop: Loop = 1, from_: From = 0.0,
     to: To = None, step: Step = False, node: Node = None, cob_id: CobId = None, direction: Direction = None,
     map_: Map = None, nodes_only: NodesOnly = False, allow_controller: Allowed = None, path: options.ForcePath = None,
-    *, reached: BusAlone, simulated: SimulatedOptions, output: Residuals = None, overwrite: options.Overwrite = False,
+    *, reached: BusAlone, simulated: SimulatedOptions, output: Residuals = None,
 ) -> CommandAnswer:
     """Replay a recorded trial.
 
@@ -79,7 +79,7 @@ def replay(
         return _controller(given, allow_controller)
     chosen = reached.chosen(simulated, always_simulated=onto == "plant")
     if onto == "plant":
-        return _plant(given, chosen, output, overwrite=overwrite)
+        return _plant(given, chosen, output)
     network = recorded.sections(given)["network"]
     if nodes_only:
         return _nodes(given, chosen, reached.bitrate or network.bitrate)
@@ -126,8 +126,8 @@ def _tell(same: str, first: str | None, counted: tuple[str, str], differing: Map
     terminal.table(f"{counted[1]} that differ", counted, [(name, str(count)) for name, count in differing.items()])
 
 
-def _plant(recorded: Trial, chosen: buses.BusSettings, output: Path | None, *, overwrite: bool) -> CommandAnswer:
-    found = onto_plant.replay(recorded, chosen, output, overwrite=overwrite, progress=terminal.TERMINAL)
+def _plant(recorded: Trial, chosen: buses.BusSettings, output: Path | None) -> CommandAnswer:
+    found = onto_plant.replay(recorded, chosen, output, overwrite=True, progress=terminal.TERMINAL)
 
     def words() -> None:
         print(f"{len(found.time_ns)} control cycles, recorded − simulated:"

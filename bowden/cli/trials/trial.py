@@ -26,6 +26,7 @@ with on_first_use():
     from bowden.watch import watch_process
     from bowden.watch.file_watch import WatchedBench
     from bowden.watch.watch_process import TrialWatch
+    from trial import signals
 
 NewTrial = Annotated[Path, options.new_file("File to write.", "a trial", ".mcap")]
 Web = Annotated[str | None, option("Live page with a stop button; port 0: a free one.", metavar="[HOST:]PORT")]
@@ -164,14 +165,6 @@ def _show_walk(walk: dict[str, Any]) -> None:
           f"{figure(walk['idle_n'])} N; longest time with more than 3 N off phase {figure(walk['off_phase_ms'])} ms")
 
 
-FORCE_FIGURES = (
-    ("relative RMSE, END (%)", "relative_rmse_percent"),
-    ("  within 10…30 % of gait (%)", "relative_rmse_window_percent"),
-    ("largest END at idle (N)", "max_idle_tension_n"),
-    ("jump at the peak (N)", "peak_jump_n"),
-)
-
-
 def _show(
     result: dict[str, Any], output: Path, picture: Path | None, bus: str, *, dry_run: bool, with_end: bool
 ) -> None:
@@ -183,8 +176,8 @@ def _show(
     shown = [(f"{name}, {found['peak_n']:g} N", found) for name, found in result.get("paths", {}).items()]
     for headline, found in shown or [(title, result)]:
         terminal.table(headline, ("force", "by the END sensor", "true", "paper"), [
-            (name, figure(found[key]), figure(found[f"true_{key}"]), paper.get(key, "–"))
-            for name, key in FORCE_FIGURES])
+            (f"{one.text} ({one.unit})", figure(found[one.name]), figure(found[f"true_{one.name}"]),
+             paper.get(one.name, "–")) for one in signals.FORCE_FIGURES])
     if result.get("walk"):
         _show_walk(result["walk"])
     if not with_end:
