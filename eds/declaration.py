@@ -388,7 +388,7 @@ def _check(bench: DeclaredBench, where: str) -> None:
 
 
 def _moved(bench: DeclaredBench, where: str, joint: Joint) -> list[str]:
-    """Return the device of a joint; refuse one with both a drive and an encoder, or with neither."""
+    """Return the drive or the encoder of a joint; raises `InputError` for a joint with both or neither."""
     if bool(joint.driven_by) == bool(joint.measured_by):
         raise InputError(f"{where}: joint {joint.name} has {'both' if joint.driven_by else 'neither'} driven_by "
                          f"{'and' if joint.driven_by else 'nor'} measured_by; give one of them: a drive, or the "

@@ -59,7 +59,7 @@ class KneeMapping:
 
 @dataclass(frozen=True)
 class SensorMapping:
-    """`[start]` and `[end]` of the configuration."""
+    """Keys of the `[[device]]` of a START or END load cell."""
 
     file: str = parameter("", "", _FILE, source="the device's maker")
     value: str = _part("7130:01", "the tension")

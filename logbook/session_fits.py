@@ -42,7 +42,10 @@ def fit_missing(book: Logbook) -> None:
 
 
 def _wanted(book: Logbook) -> tuple[int, ...]:
-    """Return the trials of the reference: of each of the first sessions by date the first usable one, by its digest."""
+    """Return the numbers of the reference trials: one usable trial, of the least digest, of each of the first sessions.
+
+    Sessions are in the order of their dates.
+    """
     found: list[int] = []
     for session in book.sessions():
         if len(found) == min(book.references, MOST_REFERENCES):

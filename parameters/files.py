@@ -36,7 +36,7 @@ def refuse_special(path: str | Path) -> None:
 
 
 def refuse_large(path: Path) -> None:
-    """Raise `InputError` where a file is longer than is read into memory; its content would take as much or more."""
+    """Raise `InputError` for a file longer than `READ_LIMIT`, since its content would take as much memory or more."""
     if path.stat().st_size > READ_LIMIT:
         raise InputError(f"{path}: is longer than {READ_LIMIT} bytes; cut it.")
 
@@ -142,7 +142,7 @@ def refuse_long_lines(path: Path, raw: bytes) -> None:
 
 @contextmanager
 def replaced(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a fresh file beside `path` that takes its name when the block ends well, and goes when it does not.
+    """Yield a new file beside `path`; it replaces `path` at the end of the block, and is deleted if the block raises.
 
     A link at `path` is replaced, never written through.  Raises `InputError` for a `path` that is there (unless
     `overwrite`), is no file, or cannot be written.

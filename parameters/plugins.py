@@ -1,4 +1,4 @@
-"""Parts that others bring, found by name: an entry point, "module:attribute" or "path/to/file.py:attribute".
+"""Plug-ins, found by name: an entry point, "module:attribute" or "path/to/file.py:attribute".
 
 The rule of this file: the project's own parts need no installation; a module is found on the module path first and in
 the current folder then; whatever a part's module raises while it is imported becomes one sentence.

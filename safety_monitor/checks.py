@@ -95,7 +95,7 @@ class Check(NamedTuple):
 
 
 def _above(what: str, values: Iterable[float], bound: float, unit: str) -> str:
-    """Return the sentence of the first value that is not at most `bound`; no number is not."""
+    """Return the sentence of the first value that is above `bound` or no number."""
     return next((f"{what} {value:.4g} {unit}, bound {bound:g} {unit}" for value in values if not value <= bound), "")
 
 

@@ -11,9 +11,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
-import typer.main
 
-from bowden.cli.app import app, load
+from bowden.cli.app import whole
 from parameters import compile_cache
 
 ROOT = Path(__file__).parents[1]
@@ -28,8 +27,7 @@ def test_the_dockerfile_installs_extras_that_exist_and_types_a_command_that_exis
     assert set(extras[1].split(",")) <= set(project["optional-dependencies"])
     constraints = shlex.split(installed)[shlex.split(installed).index("-c") + 1]
     assert (ROOT / Path(constraints).relative_to("source")).is_file()
-    load()
-    command = typer.main.get_command(app).commands["doctor"]  # type: ignore[attr-defined]
+    command = whole().commands["doctor"]
     assert "--compile" in {name for option in command.params for name in option.opts}
     python = next(text for word, text in steps if word == "FROM").partition(":")[2].partition("-")[0]
     assert project["requires-python"] == f">={python}"

@@ -9,6 +9,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from types import MappingProxyType
 from typing import Annotated, Any, Final, TextIO, TypeVar
 
@@ -98,9 +99,9 @@ class CommandGroup(typer.Typer):
         return registered
 
 
-def found(application: typer.Typer, words: Sequence[str]) -> tuple[Any, bool]:
+def found(words: Sequence[str]) -> tuple[Any, bool]:
     """Return the command that the first of `words` name, and whether they name nothing else."""
-    command: Any = typer.main.get_command(application)
+    command = whole()
     left = list(words)
     while left and left[0] in getattr(command, "commands", {}):
         command = command.commands[left.pop(0)]
@@ -156,10 +157,12 @@ MODULES = (
 """Modules of the commands; importing one registers its commands on `app`."""
 
 
-def load() -> None:
-    """Register every command; the packages behind a command are imported when the command runs."""
+@cache
+def whole() -> Any:
+    """Return the command line, built once; the packages behind a command are imported when the command runs."""
     for name in MODULES:
         importlib.import_module(f"bowden.cli.{name}")
+    return typer.main.get_command(app)
 
 
 def _version(asked: bool) -> None:
@@ -189,7 +192,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; messages are one sentence on stderr, never a box or a traceback."""
-    load()
     ending.quiet_libraries()
     warnings.showwarning = _remark
     with ending.as_ctrl_c() as ended:
@@ -202,7 +204,7 @@ def run(arguments: Sequence[str]) -> int:
 
 def _run(arguments: Sequence[str]) -> int:
     try:
-        status = app(list(arguments) or ["--help"], standalone_mode=False, prog_name="bowden")
+        status = whole()(list(arguments) or ["--help"], standalone_mode=False, prog_name="bowden")
     except InputError as error:
         return _short_help(arguments, error) or _refuse(str(error))
     except typer.exceptions.TyperException as error:
@@ -230,7 +232,7 @@ def _short_help(arguments: Sequence[str], error: Exception) -> int:
     """Print the short help of a command given without its arguments, and return 2; return 0 in any other case."""
     if isinstance(error, InputError) and not isinstance(error, NothingGivenError):
         return 0
-    command, alone = found(app, arguments)
+    command, alone = found(arguments)
     if not alone:
         return 0
     print(short_help(command, f"bowden {' '.join(arguments)}", getattr(error, "needs", "")), file=sys.stderr)

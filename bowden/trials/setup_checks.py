@@ -88,7 +88,7 @@ def perform(
 
 
 def named(bench: DeclaredBench, path: str | None) -> ForcePath:
-    """Return the force path of a name, or without a name the only one; raises `InputError`."""
+    """Return the force path called `path`, without a name the only one of the bench; raises `InputError`."""
     paths = {one.name: one for one in bench.force_paths}
     if path is None and len(paths) == 1:
         return bench.force_paths[0]

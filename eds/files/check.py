@@ -38,7 +38,7 @@ class SheetFault:
 
 
 class EdsSheet:
-    """The parsed text and its dictionary; sections by lower-case name, first of two counting."""
+    """Parsed text of an EDS and its dictionary; of two sections of one name the first counts, whatever their case."""
 
     def __init__(self, path: str, sections: Sequence[Section], dictionary: Dictionary) -> None:
         self.path = path

@@ -259,7 +259,7 @@ class Exchange(SyncCycle):
         return self._latch(sync_ns)
 
     def answer(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None) -> None:
-        """Accept the targets that answer `inputs`; nothing is sent."""
+        """Store the targets that were computed from `inputs`; nothing is sent yet."""
         inputs = self.inputs
         if annotations is not None:  # before the targets go out: a gait that departs gets no further one
             self.guard.check_gait(inputs, annotations)

@@ -230,7 +230,7 @@ class StateMachine(Application):
 
 
 class TransitionGuard(NamedTuple):
-    """Condition, besides the event, for a row to be taken."""
+    """Condition that a transition has beside its event: in words, and as a function of the machine."""
 
     text: str
     holds: Callable[[StateMachine], bool]

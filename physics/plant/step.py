@@ -157,7 +157,7 @@ SOURCES: Final = (
 
 
 def digest() -> int:
-    """Return a number of the sources that the compiled step is made of."""
+    """Return a checksum of the source files of the compiled step, as a whole number of 56 bits."""
     here = Path(__file__).parents[1]
     text = b"".join((here / f"{name}.py").read_bytes() for name in SOURCES)
     return int.from_bytes(hashlib.sha256(text).digest()[:7], "big")

@@ -6,16 +6,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import typer.main
 
-from bowden.cli.app import app, load
+from bowden.cli.app import whole
 
 
 def names(group: object = None, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
     """Yield every command as its words."""
     if group is None:
-        load()
-        group = typer.main.get_command(app)
+        group = whole()
     for name, command in getattr(group, "commands", {}).items():
         if getattr(command, "commands", None):
             yield from names(command, (*path, name))

@@ -6,19 +6,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import typer.main
 
 from bowden.bench.configuration import as_template
 from bowden.cli import options
-from bowden.cli.app import PANELS, app, load
+from bowden.cli.app import PANELS, whole
 
 Run = Callable[..., tuple[int, str, str]]
 
 
 def test_each_command_is_in_one_panel_of_the_help(bowden: Run) -> None:
-    load()
     listed = [name for names in PANELS.values() for name in names]
-    assert sorted(listed) == sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+    assert sorted(listed) == sorted(whole().commands)
     _, out, _ = bowden("--help")
     titles = [line[:-1] for line in out.splitlines() if line.endswith(":") and not line.startswith((" ", "Options"))]
     assert titles == list(PANELS)

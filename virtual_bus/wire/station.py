@@ -50,7 +50,7 @@ class Medium(Protocol):
         """Remove a station from the wire; return the frames of its queue."""
 
     def flush(self, station: Station) -> None:
-        """Discard what waits in a station."""
+        """Discard the frames that wait in a station."""
 
     def reroute(self) -> None:
         """Clear the cached routes from COB-IDs to stations."""

@@ -118,7 +118,7 @@ def _controller(recorded: Trial, allowed: str | None) -> CommandAnswer:
 
 
 def _tell(same: str, first: str | None, counted: tuple[str, str], differing: Mapping[str, int]) -> None:
-    """Print that all was the `same`, or the `first` difference and the number of each kind."""
+    """Print the sentence `same` if nothing differs; else the `first` difference and a table of counts by kind."""
     if first is None:
         print(same)
         return
