@@ -13,7 +13,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -236,6 +236,27 @@ class Browser:
         self._process.wait(PATIENCE_S)
         os.close(self._in)
         os.close(self._out)
+
+
+class Typed(NamedTuple):
+    """Exit status and output of a command line."""
+
+    status: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def bowden(capsys: pytest.CaptureFixture[str]) -> Callable[..., Typed]:
+    """Run one command line in this process."""
+    from bowden.cli.app import run
+
+    def command(*arguments: object) -> Typed:
+        status = run([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return Typed(status, out, err)
+
+    return command
 
 
 @pytest.fixture

@@ -1,32 +1,10 @@
-"""A command line as a user types it: exit status, stdout, stderr."""
+"""An empty working directory for command lines as a user types them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
-
-from bowden.cli.app import run
-
-
-class Told(NamedTuple):
-    status: int
-    stdout: str
-    stderr: str
-
-
-@pytest.fixture
-def bowden(capsys: pytest.CaptureFixture[str]) -> Callable[..., Told]:
-    """Run one command line in this process."""
-
-    def command(*arguments: object) -> Told:
-        status = run([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return Told(status, out, err)
-
-    return command
 
 
 @pytest.fixture

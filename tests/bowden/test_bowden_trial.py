@@ -114,7 +114,7 @@ def test_a_trial_imports_no_library_that_it_does_not_use(tmp_path: Path) -> None
     assert spared & set(told.stderr.split()) == set()
 
 
-@pytest.mark.parametrize("more", [(), ("--settle", 0)])
+@pytest.mark.parametrize("more", [(), pytest.param(("--settle", 0), marks=pytest.mark.exhaustive)])
 def test_the_only_cycle_is_in_the_figures(tmp_path: Path, more: tuple[object, ...]) -> None:
     told = command("trial", "--cycles", 1, *more, "--period", 1.1, "--json", "-o", "one.mcap", cwd=tmp_path)
     assert told.returncode == 0, told.stderr

@@ -6,30 +6,11 @@ import io
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
 from bowden.cli.app import run
 from trial import read
-
-
-class Told(NamedTuple):
-    status: int
-    stdout: str
-    stderr: str
-
-
-@pytest.fixture
-def bowden(capsys: pytest.CaptureFixture[str]) -> Callable[..., Told]:
-    """Run one command line in this process."""
-
-    def command(*arguments: object) -> Told:
-        status = run([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return Told(status, out, err)
-
-    return command
 
 
 @pytest.fixture(scope="session")
