@@ -7,6 +7,7 @@ with status 1 if a command prints a traceback or ends with another exit status t
 import argparse
 import math
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -17,6 +18,7 @@ from typing import Final, NamedTuple
 
 BOWDEN: Final = (sys.executable, "-c", "from bowden.cli import main; main()")
 SHORT: Final = "--cycles 2 --settle 0 --period 1.0"
+LONG_SWEEP: Final = "sweep --grid seed=1-4 --grid cycles=2 --grid settle=0 --workers 1 -o long.csv"
 CONTROLLER: Final = '''from dataclasses import dataclass
 from bowden.controllers import Controller, ControllerOutput, Trace, parameter
 
@@ -38,11 +40,15 @@ class Own(Controller[None]):
 
 
 class Typed(NamedTuple):
-    """Command line after `bowden`, its expected exit status, and whether it is the user's aim."""
+    """Command line after `bowden`, its expected exit status, and whether it is the user's aim.
+
+    `ctrl_c`: the keyboard's interrupt reaches the command and its processes as soon as the file of this name is there.
+    """
 
     words: str
     status: int = 0
     success: bool = False
+    ctrl_c: str = ""
 
 
 def _table() -> None:
@@ -55,6 +61,11 @@ def _table() -> None:
         rows.append(f"{k / 100:.2f};{slow};{102 * start:.3f};{102 * end:.3f};{20 + 5 * turn:.3f};x"
                     .replace(".", ","))
     Path("lab.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    Path("overload.csv").write_text("time_s,tension_start_n,tension_end_n\n0,OL,1\n0.01,2,1\n", encoding="utf-8")
+    Path("unit.csv").write_text("time_s,servo_position_m,tension_start_n\n0,31,1\n10,32,2\n", encoding="utf-8")
+    for name in ("empty.csv", "empty.blf", "empty.mcap"):
+        Path(name).touch()
+    Path("folder.mcap").mkdir()
 
 
 def _controller() -> None:
@@ -80,12 +91,16 @@ def _axis() -> None:
 USERS: Final[dict[str, tuple[Callable[[], None], tuple[Typed, ...]]]] = {
     "data": (_table, (Typed("info lab.csv"), Typed("diagnose lab.csv", 2), Typed("import lab.csv --guess -o map.toml"),
                       Typed("import lab.csv --map map.toml -o lab.mcap"),
-                      Typed("report lab.mcap -o lab.html", success=True))),
+                      Typed("report lab.mcap -o lab.html", success=True), Typed("report lab.csv -o lab.html", 2),
+        *(Typed(f"info {name}", 2) for name in ("empty.csv", "empty.blf", "empty.mcap", "folder.mcap")),
+        Typed("import overload.csv -o overload.mcap", 2), Typed("import overload.csv --guess -o overload.toml"),
+        Typed("import overload.csv --map overload.toml -o overload.mcap"), Typed("import unit.csv -o unit.mcap"))),
     "controller": (_controller, (
         Typed(f"trial --controller own.py:Own {SHORT} -o own.mcap", success=True),
         Typed(f"trial --controller own.py:Own --set share=9 {SHORT} -o b.mcap", 2),
         Typed("sweep --grid controller=own.py:Own,none --grid controller.share=0.95,1.05 --grid cycles=1 "
-              "--grid settle=0 --workers 1 -o sweep.csv"), Typed("compare sweep.csv --controllers"))),
+              "--grid settle=0 --workers 1 -o sweep.csv"), Typed("compare sweep.csv --controllers"),
+        Typed(LONG_SWEEP, 130, ctrl_c="long.csv"), Typed(LONG_SWEEP))),
     "can": (lambda: None, (
         Typed("node scan", success=True), Typed("node read 1 0x1018:1"), Typed("node scna", 2),
         Typed(f"trial {SHORT} -o bus.mcap"), Typed("export bus.mcap -o bus.log"), Typed("info bus.log"))),
@@ -105,6 +120,18 @@ USERS: Final[dict[str, tuple[Callable[[], None], tuple[Typed, ...]]]] = {
 """Users by name: a function that writes their files, and their commands."""
 
 
+def _ran(one: Typed) -> tuple[int, str, str]:
+    """Run a command line in a session of its own; return its exit status, stdout and stderr."""
+    began = subprocess.Popen([*BOWDEN, *one.words.split()], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                             start_new_session=True)
+    if one.ctrl_c:
+        while began.poll() is None and not Path(one.ctrl_c).exists():
+            time.sleep(0.1)
+        os.killpg(began.pid, signal.SIGINT)
+    out, err = began.communicate()
+    return began.returncode, out, err
+
+
 def walk(name: str) -> bool:
     """Run one user's commands in an empty folder and print their messages; return whether all ended as expected."""
     prepare, commands = USERS[name]
@@ -112,13 +139,13 @@ def walk(name: str) -> bool:
     began, first, good = time.monotonic(), None, True
     for one in commands:
         at = time.monotonic()
-        told = subprocess.run([*BOWDEN, *one.words.split()], capture_output=True, text=True, check=False)
-        messages = [*told.stderr.splitlines(), *told.stdout.splitlines()]
-        expected = told.returncode == one.status and "Traceback" not in told.stderr and "Error in" not in told.stderr
+        status, out, err = _ran(one)
+        messages = [*err.splitlines(), *out.splitlines()]
+        expected = status == one.status and "Traceback" not in err and "Error in" not in err
         good &= expected
         if one.success and expected and first is None:
             first = time.monotonic() - began
-        print(f"  {'' if expected else 'NOT EXPECTED '}{time.monotonic() - at:5.1f} s, {told.returncode}: "
+        print(f"  {'' if expected else 'NOT EXPECTED '}{time.monotonic() - at:5.1f} s, {status}: "
               f"bowden {one.words}")
         print("".join(f"           {line}\n" for line in messages), end="", flush=True)
     print(f"{name}: first success after {'no time: none' if first is None else f'{first:.1f} s'}\n", flush=True)

@@ -72,6 +72,29 @@ class Naming(NamedTuple):
     diagnosed: Callable[[int], Mapping[str, float] | None]
 
 
+@dataclass
+class DiagnosisSchedule:
+    """Cycles after which suspected cycles are diagnosed again: few enough that a watch keeps up with its trial.
+
+    They are diagnosed once the trial is `grown` times as long as at the last diagnosis.  A change that began after
+    that is diagnosed earlier, the first time at once, the k-th time k cycles after the last diagnosis.
+    """
+
+    grown: float = 4.0 / 3.0
+    diagnosed: int = 0
+    later: int = 0
+
+    def due(self, count: int, since: int) -> bool:
+        """Return whether `count` cycles are diagnosed, of which the change likeliest began in number `since`."""
+        return count >= self.grown * self.diagnosed or (
+            since > 0 and since >= self.diagnosed and count >= self.diagnosed + self.later)
+
+    def done(self, count: int) -> None:
+        """Enter a diagnosis after `count` cycles."""
+        self.later += count < self.grown * self.diagnosed
+        self.diagnosed = count
+
+
 class RunningEvidence:
     """Evidence of one running trial against the fit of the reference trials, named by the rule `naming`.
 
@@ -90,7 +113,7 @@ class RunningEvidence:
         self._whole = Sums(np.zeros((count, count)), np.zeros(count))
         self._earlier = 0
         self._named: Mapping[str, float] = {}
-        self._diagnosed = 0
+        self._schedule = DiagnosisSchedule()
 
     def add(self, cycle: int, window: Mapping[str, Array], begins_s: float) -> WatchVerdict | None:
         """Add the gait cycle `cycle` and return the suspicion; None for a cycle too short to give data.
@@ -153,17 +176,14 @@ class RunningEvidence:
         return WatchVerdict(cycle, tuple(named), best, nats, since and since + self._earlier, error,
                             100.0 * float(cost))
 
-    def _diagnosis(self, since: int, grown: float = 4.0 / 3.0) -> Mapping[str, float]:
-        """Return the effects that the diagnosis of the cycles from number `since` on names, with log Bayes factors.
-
-        The cycles are diagnosed again once the trial is `grown` times as long, or if the change began later.  So the
-        cost of a cycle does not grow with the trial.
-        """
+    def _diagnosis(self, since: int) -> Mapping[str, float]:
+        """Return the effects that the diagnosis of the cycles from number `since` on names, with log Bayes factors."""
         count = self._earlier + len(self._cycles)
-        if count >= grown * self._diagnosed or (since and since + self._earlier >= self._diagnosed):
+        if self._schedule.due(count, since and since + self._earlier):
             found = self.naming.diagnosed(len(self._cycles) - since)
             if found is not None:
-                self._named, self._diagnosed = found, count
+                self._named = found
+                self._schedule.done(count)
         return self._named
 
     def _foremost(self, inner: Any, most: int = 6) -> list[EffectColumns]:

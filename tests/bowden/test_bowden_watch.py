@@ -16,6 +16,7 @@ from bowden.cli.app import run
 from bowden.watch.file_watch import GaitWindows
 from diagnosis.evidence.decision import threshold
 from estimation.path_model import PATH_MODEL
+from estimation.running_evidence import DiagnosisSchedule
 from tests.hidden.watch_calibration import Question, compared
 from trial import read
 from trial.growing import GrowingTrial
@@ -101,6 +102,22 @@ def test_a_bench_that_only_the_linear_model_suspects_is_not_suspected() -> None:
     assert one.largest >= threshold(PATH_MODEL)
     assert not one.ever
     assert one.agrees
+
+
+def test_the_diagnoses_of_an_hour_are_few_even_if_the_change_seems_to_begin_anew_in_each_cycle() -> None:
+    anew, steady = DiagnosisSchedule(), DiagnosisSchedule()
+    times: list[list[int]] = [[], []]
+    for count in range(3, 1800):
+        for schedule, since, due in zip((anew, steady), (count - 3, 0), times, strict=True):
+            if schedule.due(count, since):
+                schedule.done(count)
+                due.append(count)
+    assert times[1][:5] == [3, 4, 6, 8, 11]
+    assert len(times[1]) < 25
+    assert len(times[0]) < 90
+    late = DiagnosisSchedule()
+    late.done(90)
+    assert next(count for count in range(91, 100) if late.due(count, 91)) == 91
 
 
 GROW = """
