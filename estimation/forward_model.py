@@ -174,13 +174,8 @@ def jacobian(model: ForwardModel, q: Array, trial: Recording, free: Sequence[int
     `most`: data of all sets that are simulated at once, which bounds the memory to some ten times their 2 MB.
     """
     step_taken()
-    # the first set of each batch is `q`, from whose step the solver starts the others: results do not depend on `most`
-    count, parts = max(8, most // trial.data.size), []
-    for at in range(0, len(free), count):
-        part = list(free[at:at + count])
-        sets = np.repeat(q[:, None], len(part) + 1, axis=1)
-        step = model.constants.step[part]
-        sets[part, np.arange(1, len(part) + 1)] += step
-        data = model.predict(sets, trial)
-        parts.append((data[1:] - data[0]) / step[:, None])
-    return data[0], np.ascontiguousarray(np.concatenate(parts).T)
+    step, count = model.constants.step[list(free)], max(8, most // trial.data.size)
+    data, sets = predicted(model, q, trial), np.repeat(q[:, None], len(free), axis=1)
+    sets[list(free), np.arange(len(free))] += step
+    moved = [model.predict(sets[:, at:at + count], trial) for at in range(0, len(free), count)]
+    return data, np.ascontiguousarray(((np.concatenate(moved) - data) / step[:, None]).T)

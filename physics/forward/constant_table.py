@@ -38,7 +38,8 @@ class ModelConstant(NamedTuple):
 
 
 class ConstantTable:
-    """Rows of constants with what follows from them; `bounds`: of the values of linear constants, by name.
+    """Rows of constants with what follows from them; `bounds`: of the values of linear constants, and of the
+    coordinates of others, by name.
 
     `free`: rows of the constants that differ between benches in the reference condition.  `step`: finite-difference
     step of each coordinate, 0.1 session σ, well inside the range where a model is linear.

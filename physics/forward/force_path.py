@@ -1,9 +1,9 @@
 """Simulation of the force path under measured rope and knee motion, for a batch of parameter sets at once.
 
-Two nodes carry friction, the rope in its sheath and the fabric on the knee; three springs join drum, nodes and leg.
-Each time step solves the two force balances implicitly (backward Euler, Newton's method), and every term is smooth or
-continuous in the parameters, so that finite differences give usable Jacobians.  Rope positive pulling, knee flexion
-negative; SI.
+Friction acts at `CABLE_NODES` nodes of the rope in its sheath and at `FABRIC_NODES` of the fabric on the knee, in
+series; springs join drum, nodes and leg.  Each time step solves the force balances of all nodes implicitly (backward
+Euler, Newton's method).  Every term is smooth or continuous in the parameters, so that finite differences give usable
+Jacobians.  Rope positive pulling, knee flexion negative; SI.
 """
 
 import math
@@ -26,19 +26,26 @@ NAMES: Final = (
 `zero` m: encoder at the taut, unloaded rope at the knee angle `KNEE_RAD`.  `arm`, `arm2`, `arm3` m/radⁿ: displacement
 of the anchor on the leg by knee angle.  `eccentric_sin`, `eccentric_cos` m, `drum_radius` m: payout of an eccentric
 drum.  `play` rad: half dead band of the knee; `gap` rad: half dead band that the load closes.  `stiffness` N at 10 mm
-of stretch, `curve2`, `curve3` its quadratic and cubic shares.  `cable_compliance` m/N: compliance between drum and
-sheath.  `fabric_share`: share of the fabric's stretch before the knee.  `prompt`, `slow` m/N: retarded compliance with
-time constants `PROMPT_S`, `SLOW_S`; `creep_compliance` m/N, `creep_time` s: a further one.  `cable`, `fabric`: friction
-exponents μ1·θ1 and μ2·φ at `KNEE_RAD`, `LOAD_N`.  `bend` 1/rad: relative change of the cable's exponent with knee
-angle; `wrap` 1/rad: that of the fabric's.  `surface`: share of the anchor's displacement by which the surface under the
-fabric moves.  `load`: relative change of both exponents for each 40 N; `friction_drift`: over the trial.  `viscous`
-N·s/m: viscous friction that a loose rope does not have, `drag` N·s/m: that of any taut one; `dry` N: friction that no
-load changes.  `cable_travel`, `fabric_travel` m: pre-sliding distance.  `breakaway`, `fabric_breakaway`: relative
-excess of static over sliding friction, `stribeck_speed` m/s the Stribeck speed, `stribeck_memory` s its lag."""
+of stretch, `curve2`, `curve3` its quadratic and cubic shares.  `cable_compliance` m/N: compliance of the rope from the
+drum to the sheath's end.  `fabric_share`: share of the fabric's stretch before the middle of the knee.  `prompt`,
+`slow` m/N: retarded compliance with time constants `PROMPT_S`, `SLOW_S`; `creep_compliance` m/N, `creep_time` s: a
+further one.  `cable`, `fabric`: friction exponents μ1·θ1 and μ2·φ at `KNEE_RAD`, `LOAD_N`.  `bend` 1/rad: relative
+change of the cable's exponent with knee angle; `wrap` 1/rad: that of the fabric's.  `surface`: share of the anchor's
+displacement by which the surface under the fabric moves.  `load`: relative change of both exponents for each 40 N;
+`friction_drift`: over the trial.  `viscous` N·s/m: viscous friction that a loose rope does not have, `drag` N·s/m: that
+of any taut one; `dry` N: friction that no load changes.  `cable_travel`, `fabric_travel` m: pre-sliding distance.
+`breakaway`, `fabric_breakaway`: relative excess of static over sliding friction, `stribeck_speed` m/s the Stribeck
+speed, `stribeck_memory` s its lag."""
 INDEX: Final = {name: i for i, name in enumerate(NAMES)}
-(ZERO, ARM, ARM2, ARM3, ECC_SIN, ECC_COS, DRUM, PLAY, GAP, STIFF, CURVE2, CURVE3, LEAD, BEFORE, PROMPT, SLOW, CREEP,
- CREEP_TIME, CABLE, BEND, LOAD, DRIFT, VISCOUS, DRAG, DRY, FABRIC, WRAP, SURFACE, CABLE_TRAVEL, FABRIC_TRAVEL,
+(ZERO, ARM, ARM2, ARM3, ECC_SIN, ECC_COS, DRUM, PLAY, GAP, STIFF, CURVE2, CURVE3, COMPLIANCE, SHARE, PROMPT, SLOW,
+ CREEP, CREEP_TIME, CABLE, BEND, LOAD, DRIFT, VISCOUS, DRAG, DRY, FABRIC, WRAP, SURFACE, CABLE_TRAVEL, FABRIC_TRAVEL,
  CABLE_REST, FABRIC_REST, REST_SPEED, MEMORY) = range(len(NAMES))
+CABLE_NODES: Final = 3
+FABRIC_NODES: Final = 2
+"""Nodes with friction of the rope and of the fabric, along which friction and compliance are distributed (decision 50).
+
+With one node each the fitted compliance of the cable is a third of the true one on rigs of 7 to 19 nodes."""
+NODES: Final = CABLE_NODES + FABRIC_NODES
 KNEE_RAD: Final = -0.5
 """Knee angle, rad, to which exponents and anchor displacement refer: about that of the loading, 13–20 % of gait."""
 LOAD_N: Final = 30.0
@@ -57,22 +64,23 @@ SOFT_N: Final = 0.1
 """Half width, N, of the transition from slack to taut: below sensor noise."""
 SOFT: Final = 2e-3
 """Transition in stretch that corresponds to `STRETCH_M`."""
-SPREAD: Final = (0.4, 1.0, 2.2)
-"""Pre-sliding distances of the three friction elements of a node, in the node's: friction is distributed."""
+NEAR: Final = 1.0 / 0.4
+FAR: Final = 1.0 / 2.2
+"""Reciprocals of the pre-sliding distances of the first and third friction element of a node, in the second one's."""
 ROUNDS: Final = 40
 """Most Newton steps in a time step; a step that does not reduce the residual is shortened."""
 CLOSE_N: Final = 1e-7
-"""Residual of the two force balances, N, at which a time step counts as solved."""
-COMPILED: Final[dict[str, Any]] = {"cache": True, "fastmath": {"arcp"}}
-"""Options of numba: a division may become a multiplication by the reciprocal, which saves a third of the time."""
-(Q1, Q2, ANCHOR, SPEED1, SPEED2, S1, S2, GAMMA_PROMPT, GAMMA_SLOW, GAMMA, LEG, T0, T1, T2, LAST1, LAST2,
- STATES) = (0, 1, 2, 3, 4, 5, 8, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20)
-"""State rows: node positions, anchor, lagged sliding speeds of the friction, three friction elements a node, retarded
-stretch, leg, tensions."""
+"""Sum of the residuals of all force balances, N, at which a time step counts as solved."""
+COMPILED: Final[dict[str, Any]] = {"cache": True, "fastmath": {"arcp"}, "error_model": "numpy"}
+"""Options of numba: a division may become a multiplication by the reciprocal, and is not tested for zero; each saves a
+third of the time."""
+INLINED: Final = COMPILED | {"inline": "always"}
+"""Options for parts of a time step: a call would pass every array, which takes half of the time."""
 
 
 class PathResponse(NamedTuple):
-    """Simulated path, one row a parameter set: tensions N at drum, between the nodes and at END; friction states."""
+    """Simulated path, one row a parameter set: tensions N at drum, between cable and fabric, and at END; friction
+    states, means over the nodes."""
 
     start: Array
     middle: Array
@@ -81,138 +89,227 @@ class PathResponse(NamedTuple):
     fabric_slip: Array
 
 
+class _State(NamedTuple):
+    """State of the path.
+
+    By node: position, last move and the one before it, m, lagged sliding speed, m/s, friction elements.  By spring:
+    tension, N.  `retarded`: stretch of the three retarded compliances, m.
+    """
+
+    position: Array
+    moved: Array
+    before: Array
+    speed: Array
+    slip: Array
+    tension: Array
+    retarded: Array
+
+
+class _Balance(NamedTuple):
+    """Force balances of one time step.
+
+    By node: position `at`, its value without sliding, `rest`, and before Newton's step, `back`, m; friction state
+    `slip` and its slope `turn`; residual, N; half the friction exponent; drag, N/m; dry friction, N; Newton's step, m;
+    diagonals of the Jacobian; `turned`, reciprocal of the pre-sliding distance.  By spring: tension, N, and its slope;
+    share of the fabric's stretch; `per_stretch`, N/m of the cable, 1/m of the fabric.
+    """
+
+    at: Array
+    rest: Array
+    back: Array
+    slip: Array
+    turn: Array
+    residual: Array
+    exponent: Array
+    drag: Array
+    dry: Array
+    step: Array
+    below: Array
+    diagonal: Array
+    above: Array
+    turned: Array
+    tension: Array
+    slope: Array
+    share: Array
+    per_stretch: Array
+
+
 def simulate(parameters: Array, rope_m: Array, knee_rad: Array, dt_s: float) -> PathResponse:
     """Simulate the path for each column of `parameters`, shape (len(NAMES), sets).
 
     `rope_m`, `knee_rad`: measured motion, shape (samples,), every `dt_s`.  Returns arrays of shape (sets, samples).
     """
     out = np.zeros((5, parameters.shape[1], rope_m.size))
-    _run(np.ascontiguousarray(parameters), np.ascontiguousarray(rope_m), np.ascontiguousarray(knee_rad), dt_s, out)
+    balance = _Balance(*np.zeros((len(_Balance._fields), NODES + 1)))
+    for j, p in enumerate(np.ascontiguousarray(parameters.T)):
+        state = _State(*np.zeros((4, NODES)), np.zeros((NODES, 3)), np.zeros(NODES + 1), np.zeros(3))
+        _run(p, np.ascontiguousarray(rope_m), np.ascontiguousarray(knee_rad), dt_s, state, balance, out[:, j])
     return PathResponse(*out)
 
 
-@njit(**COMPILED)
-def _run(p, rope, knee, dt, out):  # type: ignore[no-untyped-def]
-    sets = p.shape[1]
-    z = np.zeros((STATES, sets))
-    for j in range(sets):
-        on = knee[0] - KNEE_RAD
-        w = (p[ARM, j] + (p[ARM2, j] + p[ARM3, j] * on) * on) * on
-        taut = max(rope[0] - p[ZERO, j] - w, 0.0)
-        z[Q1, j], z[Q2, j] = w + taut, w + (1.0 - p[BEFORE, j]) * taut
-        z[ANCHOR, j], z[LEG, j] = w, knee[0]
-    for i in range(rope.size):
-        _step(p, rope[i], knee[i], i / rope.size, dt, z, out[:, :, i])
+@njit(**INLINED)
+def _anchor(p, knee):  # type: ignore[no-untyped-def]
+    on = knee - KNEE_RAD
+    return (p[ARM] + (p[ARM2] + p[ARM3] * on) * on) * on
+
+
+@njit(**INLINED)
+def _begin(p, rope, w, z, a):  # type: ignore[no-untyped-def]
+    # the fabric's nodes lie one spring apart, their middle at the share `fabric_share` of its stretch
+    whole, left, taut = 1.0 / (FABRIC_NODES + 1), 1.0, max(rope - p[ZERO] - w, 0.0)
+    for i in range(NODES + 1):
+        a.share[i], a.per_stretch[i] = 0.0, CABLE_NODES / p[COMPLIANCE]
+        if i >= CABLE_NODES:
+            a.share[i] = whole
+            if i == CABLE_NODES:
+                a.share[i] = p[SHARE] * FABRIC_NODES * whole
+            elif i == NODES:
+                a.share[i] = (1.0 - p[SHARE]) * FABRIC_NODES * whole
+            a.per_stretch[i] = 1.0 / (a.share[i] * STRETCH_M)
+        if i < NODES:
+            left -= a.share[i]
+            z.position[i] = w + left * taut
+            a.turned[i] = 1.0 / (p[CABLE_TRAVEL] if i < CABLE_NODES else p[FABRIC_TRAVEL])
+
+
+@njit(**INLINED)
+def _dahl(slip, i, moved, turned):  # type: ignore[no-untyped-def]
+    # backward Euler of Dahl's ds/dx = (1 − s·sgn v)/δ: stable for any step; three δ, with one division for all
+    way, size = moved * turned, abs(moved) * turned
+    d0, d1, d2 = 1.0 + NEAR * size, 1.0 + size, 1.0 + FAR * size
+    whole = 1.0 / (d0 * d1 * d2)
+    kept0, kept1, kept2 = whole * d1 * d2, whole * d0 * d2, whole * d0 * d1
+    s0, s1, s2 = (slip[i, 0] + NEAR * way) * kept0, (slip[i, 1] + way) * kept1, (slip[i, 2] + FAR * way) * kept2
+    sign = 1.0 if moved >= 0.0 else -1.0
+    turn = turned * (NEAR * (1.0 - s0 * sign) * kept0 + (1.0 - s1 * sign) * kept1 + FAR * (1.0 - s2 * sign) * kept2)
+    return s0, s1, s2, turn
+
+
+@njit(**INLINED)
+def _friction(p, theta, surface, half, dt, z, a):  # type: ignore[no-untyped-def]
+    # (3) and (7) of each node: half its exponent by knee angle, tension and lagged sliding speed (Stribeck's curve)
+    bend = abs(theta) - abs(KNEE_RAD)
+    vs = p[REST_SPEED] * p[REST_SPEED]
+    of_cable = half * p[CABLE] / CABLE_NODES * max(0.05, 1.0 + p[BEND] * bend)
+    of_fabric = half * p[FABRIC] / FABRIC_NODES * max(0.05, 1.0 + p[WRAP] * bend)
+    for i in range(NODES):
+        t = z.tension[i]
+        loaded = max(0.1, 1.0 + p[LOAD] * (0.5 * (t + z.tension[i + 1]) - LOAD_N) / 40.0)
+        slow = vs / (vs + z.speed[i] * z.speed[i])
+        if i < CABLE_NODES:
+            a.exponent[i] = of_cable * loaded * (1.0 + p[CABLE_REST] * slow)
+            a.drag[i] = (p[VISCOUS] * t / (t + GREASE_N) + p[DRAG] * t / (t + SOFT_N) + LIGHT) / dt / CABLE_NODES
+            a.dry[i] = p[DRY] / CABLE_NODES
+            a.rest[i] = z.position[i]
+        else:
+            a.exponent[i] = of_fabric * loaded * (1.0 + p[FABRIC_REST] * slow)
+            a.drag[i] = LIGHT / dt / FABRIC_NODES
+            a.dry[i] = p[DRY] / FABRIC_NODES
+            a.rest[i] = z.position[i] + surface
+        # a move that changes as it did is the first guess
+        a.at[i] = a.rest[i] + 2.0 * z.moved[i] - z.before[i]
+
+
+@njit(**INLINED)
+def _residual(p, u, w, late, z, a):  # type: ignore[no-untyped-def]
+    # tensions, friction states and the residual of each node's force balance; returns the sum of their sizes
+    ahead, stiff, c2, c3 = u, p[STIFF], p[CURVE2], p[CURVE3]
+    for i in range(CABLE_NODES):
+        lead = a.per_stretch[i]
+        y = (ahead - a.at[i]) * lead
+        root = math.sqrt(y * y + SOFT_N * SOFT_N)
+        a.tension[i], a.slope[i] = 0.5 * (y + root), 0.5 * (1.0 + y / root) * lead
+        ahead = a.at[i]
+    for i in range(CABLE_NODES, NODES + 1):
+        behind = a.at[i] if i < NODES else w
+        # (10) with a cubic term, K·e·(1 + c2·e + c3·e²); e: a smooth maximum of strain and 0, so that springs may slack
+        y = (ahead - behind - a.share[i] * late) * a.per_stretch[i]
+        root = math.sqrt(y * y + SOFT * SOFT)
+        e = 0.5 * (y + root)
+        a.tension[i] = stiff * e * (1.0 + e * (c2 + e * c3))
+        a.slope[i] = stiff * (1.0 + e * (2.0 * c2 + 3.0 * e * c3)) * 0.5 * (1.0 + y / root) * a.per_stretch[i]
+        ahead = behind
+    size = 0.0
+    for i in range(NODES):
+        moved = a.at[i] - a.rest[i]
+        s0, s1, s2, turn = _dahl(z.slip, i, moved, a.turned[i])
+        slip = (s0 + s1 + s2) / 3.0
+        a.slip[i], a.turn[i] = slip, turn / 3.0
+        # (3) and (7) as forces s·(T0 + T1)·μθ/2: T0/T1 = (1 + μθ/2)/(1 − μθ/2), to second order e^(μθ)
+        rub = a.exponent[i] * (a.tension[i] + a.tension[i + 1]) + a.dry[i]
+        a.residual[i] = a.tension[i] - a.tension[i + 1] - rub * slip - a.drag[i] * moved
+        size += abs(a.residual[i])
+    return size
+
+
+@njit(**INLINED)
+def _newton(a):  # type: ignore[no-untyped-def]
+    # Newton's step by the tridiagonal Jacobian of the balances (Thomas' algorithm)
+    for i in range(NODES):
+        e, rub = a.exponent[i] * a.slip[i], a.exponent[i] * (a.tension[i] + a.tension[i + 1]) + a.dry[i]
+        a.below[i], a.above[i] = a.slope[i] * (1.0 - e), a.slope[i + 1] * (1.0 + e)
+        a.diagonal[i] = -a.below[i] - a.above[i] - rub * a.turn[i] - a.drag[i]
+        a.step[i] = a.residual[i]
+        if i > 0:
+            m = a.below[i] / a.diagonal[i - 1]
+            a.diagonal[i] -= m * a.above[i - 1]
+            a.step[i] -= m * a.step[i - 1]
+    a.step[NODES - 1] /= a.diagonal[NODES - 1]
+    for i in range(NODES - 2, -1, -1):
+        a.step[i] = (a.step[i] - a.above[i] * a.step[i + 1]) / a.diagonal[i]
+
+
+@njit(**INLINED)
+def _solve(p, u, w, late, z, a):  # type: ignore[no-untyped-def]
+    least, share = 1e300, 1.0
+    for _ in range(ROUNDS):
+        size = _residual(p, u, w, late, z, a)
+        if size < CLOSE_N:
+            return
+        # a step that did not reduce the residual is shortened
+        if size < least:
+            least, share = size, 1.0
+            for i in range(NODES):
+                a.back[i] = a.at[i]
+            _newton(a)
+        else:
+            share *= 0.4
+        for i in range(NODES):
+            a.at[i] = a.back[i] - share * a.step[i]
 
 
 @njit(**COMPILED)
-def _spring(strain, share, stiff, c2, c3):  # type: ignore[no-untyped-def]
-    # (10) with a cubic term, K·e·(1 + c2·e + c3·e²); e, a smooth maximum of the strain and 0, lets a slack spring be
-    y = strain / (share * STRETCH_M)
-    root = math.sqrt(y * y + SOFT * SOFT)
-    e = 0.5 * (y + root)
-    slope = 0.5 * (1.0 + y / root) / (share * STRETCH_M)
-    return stiff * e * (1.0 + e * (c2 + e * c3)), stiff * (1.0 + e * (2.0 * c2 + 3.0 * e * c3)) * slope
-
-
-@njit(**COMPILED)
-def _slip(z, first, j, moved, travel):  # type: ignore[no-untyped-def]
-    # backward Euler of Dahl's ds/dx = (1 − s·sgn v)/δ: stable for any step; three δ, since friction is distributed
-    way, size = moved / travel, abs(moved) / travel
-    sign = (1.0 if moved >= 0.0 else -1.0) / travel
-    slip = slope = 0.0
-    for k in range(3):
-        f = 1.0 / SPREAD[k]
-        w = 1.0 / (1.0 + f * size)
-        s = (z[first + k, j] + f * way) * w
-        slip += s / 3.0
-        slope += (f / travel - s * f * sign) * w / 3.0
-    return slip, slope
-
-
-@njit(**COMPILED)
-def _keep(z, first, j, moved, travel):  # type: ignore[no-untyped-def]
-    for k in range(3):
-        f = 1.0 / (SPREAD[k] * travel)
-        z[first + k, j] = (z[first + k, j] + f * moved) / (1.0 + f * abs(moved))
-
-
-@njit(**COMPILED)
-def _step(p, x, theta, progress, dt, z, out):  # type: ignore[no-untyped-def]
-    last1, last2, gain1, gain2 = z[LAST1, 0], z[LAST2, 0], 0.0, 0.0
-    for j in range(p.shape[1]):
-        u = x - p[ZERO, j]
-        if p[ECC_SIN, j] != 0.0 or p[ECC_COS, j] != 0.0:
-            u += p[ECC_SIN, j] * math.sin(x / p[DRUM, j]) + p[ECC_COS, j] * (math.cos(x / p[DRUM, j]) - 1.0)
-        leg = min(max(z[LEG, j], theta - p[PLAY, j]), theta + p[PLAY, j])
-        z[LEG, j] = leg
+def _run(p, rope, knee, dt, z, a, out):  # type: ignore[no-untyped-def]
+    w = last = _anchor(p, knee[0])
+    leg = knee[0]
+    _begin(p, rope[0], w, z, a)
+    for k in range(rope.size):
+        x, theta = rope[k], knee[k]
+        u = x - p[ZERO]
+        if p[ECC_SIN] != 0.0 or p[ECC_COS] != 0.0:
+            u += p[ECC_SIN] * math.sin(x / p[DRUM]) + p[ECC_COS] * (math.cos(x / p[DRUM]) - 1.0)
+        leg = min(max(leg, theta - p[PLAY]), theta + p[PLAY])
         # the load closes the gap, N·m: rope at a lever of 40 mm (11) less the leg's weight; 0.3 N·m rounds the reversal
-        pull = 0.04 * z[T1, j] - 0.9 * math.sin(theta)
-        leg += p[GAP, j] * pull / (abs(pull) + 0.3)
-        on = leg - KNEE_RAD
-        w = (p[ARM, j] + (p[ARM2, j] + p[ARM3, j] * on) * on) * on
-        surface = p[SURFACE, j] * (w - z[ANCHOR, j])
-        old1, old2 = z[Q1, j], z[Q2, j] + surface
-        lead, before = 1.0 / p[LEAD, j], p[BEFORE, j]
-        late = z[GAMMA_PROMPT, j] + z[GAMMA_SLOW, j] + z[GAMMA, j]
-        bend = abs(theta) - abs(KNEE_RAD)
-        half = 0.5 * (1.0 + p[DRIFT, j] * progress)
-        vs = p[REST_SPEED, j] * p[REST_SPEED, j]
-        # half of the exponents of (3) and (7), by knee angle, tension and lagged sliding speed (Stribeck's curve)
-        e1 = half * p[CABLE, j] * max(0.05, 1.0 + p[BEND, j] * bend) * max(
-            0.1, 1.0 + p[LOAD, j] * (0.5 * (z[T0, j] + z[T1, j]) - LOAD_N) / 40.0) * (
-            1.0 + p[CABLE_REST, j] * vs / (vs + z[SPEED1, j] * z[SPEED1, j]))
-        e2 = half * p[FABRIC, j] * max(0.05, 1.0 + p[WRAP, j] * bend) * max(
-            0.1, 1.0 + p[LOAD, j] * (0.5 * (z[T1, j] + z[T2, j]) - LOAD_N) / 40.0) * (
-            1.0 + p[FABRIC_REST, j] * vs / (vs + z[SPEED2, j] * z[SPEED2, j]))
-        grease = (p[VISCOUS, j] * z[T0, j] / (z[T0, j] + GREASE_N) + p[DRAG, j] * z[T0, j] / (z[T0, j] + SOFT_N)
-                  + LIGHT) / dt
-        light = LIGHT / dt
-        stiff, c2, c3 = p[STIFF, j], p[CURVE2, j], p[CURVE3, j]
-        dry = p[DRY, j]
-        # sets of a Jacobian are close to each other: each begins with the change of sliding that the first one found
-        q1, q2 = old1 + z[LAST1, j] + gain1, old2 + z[LAST2, j] + gain2
-        back1, back2 = q1, q2
-        t0 = t1 = t2 = s1 = s2 = d1 = d2 = 0.0
-        least, share = 1e300, 1.0
-        for _ in range(ROUNDS):
-            y = (u - q1) * lead
-            root = math.sqrt(y * y + SOFT_N * SOFT_N)
-            t0, k0 = 0.5 * (y + root), 0.5 * (1.0 + y / root) * lead
-            t1, k1 = _spring(q1 - q2 - before * late, before, stiff, c2, c3)
-            t2, k2 = _spring(q2 - w - (1.0 - before) * late, 1.0 - before, stiff, c2, c3)
-            s1, g1 = _slip(z, S1, j, q1 - old1, p[CABLE_TRAVEL, j])
-            s2, g2 = _slip(z, S2, j, q2 - old2, p[FABRIC_TRAVEL, j])
-            # (3) and (7) as forces s·(T0 + T1)·μθ/2: T0/T1 = (1 + μθ/2)/(1 − μθ/2), to second order e^(μθ)
-            rub1, rub2 = e1 * (t0 + t1) + dry, e2 * (t1 + t2) + dry
-            f1 = t0 - t1 - rub1 * s1 - grease * (q1 - old1)
-            f2 = t1 - t2 - rub2 * s2 - light * (q2 - old2)
-            size = abs(f1) + abs(f2)
-            if size < CLOSE_N:
-                break
-            # Newton's step by the 2 × 2 Jacobian of both balances; shortened where it did not reduce them
-            if size < least:
-                least, share, back1, back2 = size, 1.0, q1, q2
-                j11 = -k0 - k1 - e1 * (k1 - k0) * s1 - rub1 * g1 - grease
-                j12 = k1 + e1 * k1 * s1
-                j21 = k1 - e2 * k1 * s2
-                j22 = -k1 - k2 - e2 * (k2 - k1) * s2 - rub2 * g2 - light
-                det = j11 * j22 - j12 * j21
-                d1, d2 = (f1 * j22 - f2 * j12) / det, (f2 * j11 - f1 * j21) / det
+        pull = 0.04 * z.tension[CABLE_NODES] - 0.9 * math.sin(theta)
+        w = _anchor(p, leg + p[GAP] * pull / (abs(pull) + 0.3))
+        _friction(p, theta, p[SURFACE] * (w - last), 0.5 * (1.0 + p[DRIFT] * k / rope.size), dt, z, a)
+        _solve(p, u, w, z.retarded[0] + z.retarded[1] + z.retarded[2], z, a)
+        for i in range(NODES):
+            moved = a.at[i] - a.rest[i]
+            z.slip[i, 0], z.slip[i, 1], z.slip[i, 2], _ = _dahl(z.slip, i, moved, a.turned[i])
+            # backward Euler of v̇s = (v − vs)/τ
+            z.speed[i] += (moved / dt - z.speed[i]) * dt / (p[MEMORY] + dt)
+            z.position[i], z.before[i], z.moved[i] = a.at[i], z.moved[i], moved
+        for i in range(NODES + 1):
+            z.tension[i] = a.tension[i]
+        # backward Euler of the retarded stretch γ̇ = (J·T − γ)/τ (Kelvin and Voigt)
+        end, last = a.tension[NODES], w
+        z.retarded[0] += (p[PROMPT] * end - z.retarded[0]) * dt / (PROMPT_S + dt)
+        z.retarded[1] += (p[SLOW] * end - z.retarded[1]) * dt / (SLOW_S + dt)
+        z.retarded[2] += (p[CREEP] * end - z.retarded[2]) * dt / (p[CREEP_TIME] + dt)
+        out[0, k], out[1, k], out[2, k] = a.tension[0], a.tension[CABLE_NODES], end
+        for i in range(NODES):
+            if i < CABLE_NODES:
+                out[3, k] += a.slip[i] / CABLE_NODES
             else:
-                share *= 0.4
-            q1, q2 = back1 - share * d1, back2 - share * d2
-        v1, v2 = q1 - old1, q2 - old2
-        if j == 0:
-            gain1, gain2 = v1 - last1, v2 - last2
-        _keep(z, S1, j, v1, p[CABLE_TRAVEL, j])
-        _keep(z, S2, j, v2, p[FABRIC_TRAVEL, j])
-        # backward Euler of v̇s = (v − vs)/τ and of the retarded stretch γ̇ = (J·T − γ)/τ (Kelvin and Voigt)
-        z[SPEED1, j] += (v1 / dt - z[SPEED1, j]) * dt / (p[MEMORY, j] + dt)
-        z[SPEED2, j] += (v2 / dt - z[SPEED2, j]) * dt / (p[MEMORY, j] + dt)
-        z[GAMMA_PROMPT, j] += (p[PROMPT, j] * t2 - z[GAMMA_PROMPT, j]) * dt / (PROMPT_S + dt)
-        z[GAMMA_SLOW, j] += (p[SLOW, j] * t2 - z[GAMMA_SLOW, j]) * dt / (SLOW_S + dt)
-        z[GAMMA, j] += (p[CREEP, j] * t2 - z[GAMMA, j]) * dt / (p[CREEP_TIME, j] + dt)
-        z[Q1, j], z[Q2, j], z[ANCHOR, j], z[LAST1, j], z[LAST2, j] = q1, q2, w, v1, v2
-        z[T0, j], z[T1, j], z[T2, j] = t0, t1, t2
-        out[0, j], out[1, j], out[2, j], out[3, j], out[4, j] = t0, t1, t2, s1, s2
+                out[4, k] += a.slip[i] / FABRIC_NODES

@@ -61,7 +61,7 @@ TABLE: Final = (
     _C("dry", "N", 0.05, "log", 0.8, 0.15, "friction that no load changes"),
     _C("fabric", "", 0.12, "log", 0.6, 0.05, "(7): exponent μ2·φ at the loaded knee; session 5 %"),
     _C("wrap", "1/rad", 0.9, "linear", 0.6, 0.05, "relative change of the fabric's exponent with knee angle"),
-    _C("surface", "", 0.75, "logit", 1.0, 0.1, "share of the knee's motion that the surface under the fabric has"),
+    _C("surface", "", 0.75, "logit", 2.0, 0.1, "share of the knee's motion that the surface under the fabric has"),
     _C("cable_travel", "m", 1e-4, "log", 0.8, 0.2, "pre-sliding distance of the cable"),
     _C("fabric_travel", "m", 1e-4, "log", 0.8, 0.22, "pre-sliding distance of the fabric"),
     _C("breakaway", "", 0.1, "positive", 0.35, 0.05, "static over sliding friction of the cable, less 1", 0.04),
@@ -95,8 +95,10 @@ from the bench's, the scatter between reference trials of one bench (`python -m 
 BOUNDS: Final = {
     "curve2": (-0.12, 6.0), "load": (-0.9, 0.9), "bend": (-1.5, 2.0), "wrap": (-1.5, 1.95),
     "friction_drift": (-0.95, 3.0), "drag": (-20.0, 200.0), "demand_gain": (0.3, 3.0), "start_gain": (0.3, 3.0),
-    "end_gain": (0.3, 3.0), "start_lag": (-0.05, 0.1), "end_lag": (-0.05, 0.1), "drive_asymmetry": (-2.0, 2.0)}
-"""Bounds that keep the force balance solvable: rising force over stretch, positive friction."""
+    "end_gain": (0.3, 3.0), "start_lag": (-0.05, 0.1), "end_lag": (-0.05, 0.1), "drive_asymmetry": (-2.0, 2.0),
+    "surface": (-6.0, 6.0)}
+"""Bounds that keep the force balance solvable: rising force over stretch, positive friction.  Of `surface`, in its
+coordinate: where the surface is the leg's own, a share of 0.96 would slide the fabric over its pre-sliding distance."""
 CONSTANTS: Final = ConstantTable(TABLE, BOUNDS)
 INDEX: Final = CONSTANTS.index
 NAMES: Final = CONSTANTS.names
