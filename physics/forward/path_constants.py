@@ -96,7 +96,7 @@ BOUNDS: Final = {
     "curve2": (-0.12, 6.0), "load": (-0.9, 0.9), "bend": (-1.5, 2.0), "wrap": (-1.5, 1.95),
     "friction_drift": (-0.95, 3.0), "drag": (-20.0, 200.0), "demand_gain": (0.3, 3.0), "start_gain": (0.3, 3.0),
     "end_gain": (0.3, 3.0), "start_lag": (-0.05, 0.1), "end_lag": (-0.05, 0.1), "drive_asymmetry": (-2.0, 2.0),
-    "surface": (-6.0, 6.0)}
+    "surface": (-6.0, 6.0), "stribeck_speed": (-1.6, 1.6)}
 """Bounds that keep the force balance solvable: rising force over stretch, positive friction.  Of `surface`, in its
 coordinate: where the surface is the leg's own, a share of 0.96 would slide the fabric over its pre-sliding distance."""
 CONSTANTS: Final = ConstantTable(TABLE, BOUNDS)
