@@ -20,8 +20,7 @@ from bowden.models import logbook_entries
 from diagnosis.evidence import decision
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.experiment_prediction import DECIDES, PlannedExperiment, predicted_experiments
-from diagnosis.evidence.hypothesis_search import search
-from diagnosis.evidence.identical_motion import REPEAT, paired
+from diagnosis.evidence.identical_motion import REPEAT, searched
 from estimation.data import table as data
 from estimation.data.table import Table
 from estimation.likelihood_data import MOTION
@@ -179,13 +178,9 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
         finder = EvidenceFinder(healthy, session_sd)
         reference = finder.reference(trials)
         walked, given = ([finder.recording(t, reference.outputs) for t in group] for group in (healthy, trials))
-        observed = reference.observe(*given)
-        pair = paired(reference, walked, observed)
-        if pair is None:
-            found = search(observed, reference.prior_of(observed), reference)
-        else:
+        found, pair = searched(reference, walked, reference.observe(*given))
+        if pair is not None:
             tried = (*tried, REPEAT)
-            found = search(pair.observed, pair.prior)
         decided = decision.decide(found)
         experiments = predicted_experiments(found, decided.among, reference, tried, walked)
     return ExperimentPlan(decided.verdict, decided.among, tuple(experiments), tried, _by_hand(decided.among))

@@ -11,8 +11,8 @@ from diagnosis.evidence import decision
 from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, Decision
 from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
-from diagnosis.evidence.hypothesis_search import TrialModes, search
-from diagnosis.evidence.identical_motion import paired
+from diagnosis.evidence.hypothesis_search import TrialModes
+from diagnosis.evidence.identical_motion import searched
 from diagnosis.findings import Findings
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel, predicted
@@ -97,14 +97,10 @@ class EvidenceFinder:
         trials, others = self._by_motion(trials)
         read = [self.recording(t, outputs) for t in trials]
         observed = reference.observe(*read)
-        pair = paired(reference, [self.recording(t, outputs) for t in self._tables], observed)
-        if pair is None:
-            found = search(observed, reference.prior_of(observed), reference)
-        else:
-            observed = pair.observed
-            found = search(observed, pair.prior)
+        found, pair = searched(reference, [self.recording(t, outputs) for t in self._tables], observed)
+        observed = found.observed
         decided = self._decided(found)
-        bench = self.model.constants.named((found.reference or reference).bench_coordinates())
+        bench = self.model.constants.named(found.reference.bench_coordinates())
         said = list(warnings)
         while beyond := _beyond(found, decided, bench):
             name, sentence = beyond

@@ -25,7 +25,7 @@ If it is too small, a screen may miss the true effect; the time of a search grow
 class TrialModes:
     """Modes of one trial: `null`, `single` by effect, and `pair` by best and second effect.
 
-    `reference`: reference condition; None for a pair of identical motion, under which the discrepancy repeats.
+    `reference`: reference condition.
     `prior`: prior of the session at the minimum of the best effect.  `variants`: the variant that each effect of
     `single` was fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since
     their best value is outside their bounds.
@@ -33,7 +33,7 @@ class TrialModes:
 
     observed: SessionData
     prior: Gaussian
-    reference: ReferenceFit | None
+    reference: ReferenceFit
     null: PosteriorMode
     single: dict[str, PosteriorMode] = field(default_factory=dict)
     variants: dict[str, Variant] = field(default_factory=dict)
@@ -61,14 +61,12 @@ def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[st
     return {name: variants for name, variants in offered.items() if variants}
 
 
-def search(observed: SessionData, prior: Gaussian, reference: ReferenceFit | None = None) -> TrialModes:
+def search(observed: SessionData, prior: Gaussian, reference: ReferenceFit) -> TrialModes:
     """Fit the null and the effects that the screen ranks first, and restart the fits from each other's modes.
 
-    The null starts at the prior's mean and at the modes of the trials of the `reference` condition, None for a pair of
-    identical motion, under which the discrepancy repeats.
+    The null starts at the prior's mean and at the modes of the trials of the `reference` condition.
     """
-    starts = () if reference is None else reference.starts()
-    null = max((mode(observed, prior, start=at) for at in (None, *starts)), key=lambda m: m.log_evidence)
+    null = max((mode(observed, prior, start=at) for at in (None, *reference.starts())), key=lambda m: m.log_evidence)
     found = TrialModes(observed, prior, reference, null)
     found.null = _averaged(found, null)
     offered = hypotheses(observed, observed.model.constants.named(prior.origin))
@@ -90,7 +88,7 @@ def search_joint_minimum(found: TrialModes, least: float, clear: float = 10.0) -
     that: another minimum changes it by some 20 nats.
     """
     first, best = found.reference, max(found.gains().values(), default=0.0)
-    if first is None or first.joint_minimum is None or not least <= best < clear * least:
+    if first.joint_minimum is None or not least <= best < clear * least:
         return
     fit, nats, start = first.joint_minimum(first, found.observed.trials[0], found.null.x)
     other = replace(found, prior=fit.prior_of(found.observed), reference=fit, single={}, variants={})
@@ -167,8 +165,6 @@ def _fit(found: TrialModes, variants: list[Variant], start: Array) -> PosteriorM
 
 def _averaged(found: TrialModes, at: PosteriorMode) -> PosteriorMode:
     """Return a mode with its evidence averaged over a further change of the discrepancy between sessions."""
-    if found.reference is None:
-        return at
     return replace(at, log_evidence=averaged(at, feature_sd(found.reference), found.observed.model.session_shares))
 
 

@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from diagnosis.evidence.hypothesis_search import TrialModes, search
 from estimation.likelihood_data import GRID_S, Recording
 from estimation.posterior import Gaussian, SessionData
 from estimation.reference_fit import ReferenceFit
@@ -46,6 +47,16 @@ def paired(fit: ReferenceFit, references: Sequence[Recording], observed: Session
         return None
     number, lag = found[0]
     return pair_of(fit, references[number], observed, number, lag)
+
+
+def searched(fit: ReferenceFit, references: Sequence[Recording], observed: SessionData
+             ) -> tuple[TrialModes, Pair | None]:
+    """Return the modes of a trial, and its pair if a reference trial has its motion: then the modes are the pair's."""
+    pair = paired(fit, references, observed)
+    if pair is None:
+        return search(observed, fit.prior_of(observed), fit), None
+    # the pair's prior is about one reference trial's mode, which no other minimum of all of them changes
+    return search(pair.observed, pair.prior, replace(fit, joint_minimum=None)), pair
 
 
 def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int) -> Pair:
