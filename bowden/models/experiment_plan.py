@@ -20,7 +20,7 @@ from bowden.models import logbook_entries
 from diagnosis.evidence import decision
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.experiment_prediction import DECIDES, PlannedExperiment, predicted_experiments
-from diagnosis.evidence.identical_motion import REPEAT, searched
+from diagnosis.evidence.identical_motion import REPEAT, search_trial
 from estimation.data import table as data
 from estimation.data.table import Table
 from estimation.likelihood_data import MOTION
@@ -178,7 +178,7 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
         finder = EvidenceFinder(healthy, session_sd)
         reference = finder.reference(trials)
         walked, given = ([finder.recording(t, reference.outputs) for t in group] for group in (healthy, trials))
-        found, pair = searched(reference, walked, reference.observe(*given))
+        found, pair = search_trial(reference, walked, reference.observe(*given))
         if pair is not None:
             tried = (*tried, REPEAT)
         decided = decision.decide(found)

@@ -12,7 +12,7 @@ from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, Decision
 from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
 from diagnosis.evidence.hypothesis_search import TrialModes
-from diagnosis.evidence.identical_motion import searched
+from diagnosis.evidence.identical_motion import search_trial
 from diagnosis.findings import Findings
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel, predicted
@@ -97,7 +97,7 @@ class EvidenceFinder:
         trials, others = self._by_motion(trials)
         read = [self.recording(t, outputs) for t in trials]
         observed = reference.observe(*read)
-        found, pair = searched(reference, [self.recording(t, outputs) for t in self._tables], observed)
+        found, pair = search_trial(reference, [self.recording(t, outputs) for t in self._tables], observed)
         observed = found.observed
         decided = self._decided(found)
         bench = self.model.constants.named(found.reference.bench_coordinates())

@@ -49,7 +49,7 @@ def paired(fit: ReferenceFit, references: Sequence[Recording], observed: Session
     return pair_of(fit, references[number], observed, number, lag)
 
 
-def searched(fit: ReferenceFit, references: Sequence[Recording], observed: SessionData
+def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: SessionData
              ) -> tuple[TrialModes, Pair | None]:
     """Return the modes of a trial, and its pair if a reference trial has its motion: then the modes are the pair's."""
     pair = paired(fit, references, observed)
