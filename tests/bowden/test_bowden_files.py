@@ -104,16 +104,18 @@ def on_a_terminal(*words: str) -> str:
     """Run a command whose stderr is a terminal; returns what that showed."""
     ours, theirs = pty.openpty()
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
-    subprocess.run([sys.executable, "-c", "from bowden.cli import main; main()", *words], stdout=subprocess.DEVNULL,
-                   stderr=theirs, env=environment, check=True)
-    os.close(theirs)
     shown = b""
-    try:
-        while part := os.read(ours, 1 << 16):
-            shown += part
-    except OSError:  # Linux says so where the other end is closed
-        pass
+    with subprocess.Popen([sys.executable, "-c", "from bowden.cli import main; main()", *words],
+                          stdout=subprocess.DEVNULL, stderr=theirs, env=environment) as command:
+        os.close(theirs)
+        try:
+            # read while it runs: a terminal holds 4 KiB, beyond which the command would wait for its reader
+            while part := os.read(ours, 1 << 16):
+                shown += part
+        except OSError:  # Linux says so where the other end is closed
+            pass
     os.close(ours)
+    assert command.returncode == 0
     return shown.decode()
 
 
