@@ -121,7 +121,7 @@ USERS: Final[dict[str, tuple[Callable[[], None], tuple[Typed, ...]]]] = {
 
 
 def _ran(one: Typed) -> tuple[int, str, str]:
-    """Run a command line in a session of its own; return its exit status, stdout and stderr."""
+    """Run one command in a separate process group, so that Ctrl-C reaches it alone; return status and outputs."""
     began = subprocess.Popen([*BOWDEN, *one.words.split()], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                              start_new_session=True)
     if one.ctrl_c:

@@ -73,8 +73,9 @@ JOINT_DRIVE: Final = DeviceType(
     "joint_drive", "knee_drive", KneeMapping, ("statusword", "position"), ("target", "controlword"),
     ((0x6007, cia402.AbortConnection.QUICK_STOP), (0x605A, cia402.Stop.QUICK_STOP_RAMP),
      (0x605E, cia402.Stop.DISABLE)))
-"""Drive of a joint, in rad. Without its master it brakes and lets go; after a fault of its own it lets go at once: a
-ramp would brake by the feedback that may have failed. What holds the joint then is mechanical."""
+"""Drive of a joint, positions in rad. If the master fails, it brakes along the quick-stop ramp, then the torque is off.
+After a fault of the drive the torque is off at once, since the ramp would rely on feedback that may have
+failed; only a mechanical brake or stop can hold the joint then."""
 LOAD_CELL: Final = DeviceType("load_cell", "tension_sensor", SensorMapping, ("value",))
 """Tension sensor, in N."""
 JOINT_ENCODER: Final = DeviceType("joint_encoder", "joint_encoder", EncoderMapping, ("position",))

@@ -87,10 +87,10 @@ class ForwardModel(ABC):
 
     @abstractmethod
     def course(self, q: Array, trial: Any) -> tuple[Array, Array, Array, Array, Array | None]:
-        """Return position, m, speed, m/s, load at START and at END, N, and joint angle, rad, on the time grid at `q`.
+        """Return position, m, speed, m/s, loads at START and END, N, and joint angle, rad, at every time of the trial.
 
-        Loads are simulated at coordinates `q` if the model predicts them, else measured; the joint angle is None if
-        there is none.
+        A load is simulated with coordinates `q` if the model predicts it, else measured. The joint angle is None on a
+        rig without a joint.
         """
 
     def motion(self, trial: Any) -> Array:
@@ -146,7 +146,10 @@ _STEP: ContextVar[Callable[[], None] | None] = ContextVar("_STEP", default=None)
 
 @contextmanager
 def steps_counted(tell: Callable[[int], None]) -> Iterator[None]:
-    """Call `tell` with the number of steps so far at each step of the fits in this context, whose length is unknown."""
+    """Report progress of every fit in this context: each step calls `tell` with the number of steps taken so far.
+
+    The total is unknown beforehand, since a fit ends when it converges. `step_taken` defines a step.
+    """
     numbers = itertools.count(1)
     token = _STEP.set(lambda: tell(next(numbers)))
     try:

@@ -182,9 +182,10 @@ PATH_MODEL: Final = PathModel()
 
 
 def usable_table(path: Path, force_path: str | None, remedy: str, motion: Sequence[str] = ()) -> Table:
-    """Return what a fit can use of a trial, of one force path of several; `motion`: columns that may be constant.
+    """Read the table of a trial and return it without the columns that a fit cannot use, such as a constant one.
 
-    Raises `InputError` for contradictory data, and with the `remedy` if a needed column is missing.
+    `force_path` selects one path of a bench that has several; columns in `motion` may be constant. Raises `InputError`
+    if columns contradict each other; or if a needed one is missing, with the sentence `remedy`.
     """
     given = windows.read(path, force_path)
     refused = [f.text for f in (*integrity.examine(given), *scales.contradictions(given)) if f.refuses]

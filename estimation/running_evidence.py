@@ -8,8 +8,10 @@ sizes s ~ N(0, 1) along the columns E and the sums over cycles A = ΣHᵀWH, B =
 An effect that begins in cycle c has the sums of B, C, d from c on.  Its evidence is the mean over a beginning before
 the trial (half of the prior) and in each later cycle.
 
-The linear model only screens.  Its null is no mode, since early cycles stay linearised where the null was then.  Its
-error in each cycle alike counts in each anew.  From the detection threshold on, the cycles are diagnosed.
+Here P is the prior covariance of x, H the Jacobian of the data to x, W their inverse covariance, e their residual, and
+B the Bayes factor of the effect.  The linear model is a screen with two errors: early cycles remain linearised at an
+earlier null mode, and a model error that repeats in every cycle is counted as new evidence each time.  If ln B exceeds
+the detection threshold, the recorded cycles are diagnosed with the full model.
 """
 
 from collections.abc import Callable, Mapping

@@ -39,10 +39,10 @@ class OnWire(NamedTuple):
 
 
 class RecordedNodes:
-    """All nodes of a recording, as one device (see `nodes` in docs/architecture.md); `heard` are the master's frames.
+    """Device that sends the recorded frames of all nodes, each in answer to the master's frame that preceded it.
 
-    `frames` come from all nodes, error frames omitted; `masters` are the COB-IDs of the master. `left` counts the
-    frames that have not been sent yet.
+    `frames` are the nodes' recorded frames, without error frames; `masters` are the COB-IDs that the master sends.
+    `heard` collects the master's present frames; `left` counts recorded frames that have not been sent yet.
     """
 
     def __init__(self, frames: Sequence[OnWire], masters: frozenset[int]) -> None:

@@ -442,7 +442,7 @@ def declared(name: str) -> Any:
 
 
 def assumed(name: str) -> Any:
-    """Declare a scalar of a calibration: the assumed value of `name` before it is measured."""
+    """Declare a calibration's field `name`; its default is the value assumed until the bench is measured."""
     p = PARAMETERS[name]
     if p.assumed is None:
         raise ValueError(f"{name} is no scalar of a calibration")

@@ -24,7 +24,10 @@ TANGENT_FROM: Final = 0.9
 
 @njit(inline="always")
 def presliding(s: float, travel: float, distance: float) -> float:
-    """Return the pre-sliding state after `travel`, m: ds/dx = (1 − s·sgn v)/δ, integrated exactly.  Source: Dahl."""
+    """Return Dahl's pre-sliding state s, −1 … 1 of the friction force, after `travel`, m.
+
+    The exact solution of ds/dx = (1 − s·sgn v)/δ with δ = `distance`, m.
+    """
     if travel == 0.0:
         return s
     end = 1.0 if travel > 0.0 else -1.0

@@ -36,7 +36,10 @@ def _quintic(width: float, begin: Array, end: Array) -> Array:
 
 
 def _corrections(seam: Array, mismatch: Array) -> tuple[Array, Array]:
-    """Return the quintics before and after the seam; `seam` is the correction's state on its left side."""
+    """Return coefficients of the quintics that correct a curve before and after the seam from 100 % to 0 %.
+
+    `seam`, `mismatch`: value, slope and curvature of the correction before the seam, and its jump there.
+    """
     still = np.zeros(3)
     return _quintic(CLOSED_PERCENT, still, seam), _quintic(CLOSED_PERCENT, seam - mismatch, still)
 
@@ -92,7 +95,7 @@ class Desired(NamedTuple):
 class ForceSurface(NamedTuple):
     """Desired force by phase and knee angle: N at the phases of a cycle (rows) and rising knee angles, rad (columns).
 
-    On straight lines between; beyond the first and the last angle that of the nearest one.
+    Forces between are interpolated linearly; beyond the first or last angle the force of that angle holds.
     """
 
     knee_rad: Array

@@ -19,7 +19,7 @@ WINDOW: Final = 12
 FORCE_AHEAD_S: Final = 0.01
 """Time by which a fast rise of a tension is extrapolated, s: twice the STO delay. Longer: a stiff rope's jerk trips."""
 LOOK_AHEAD_S: Final = 0.03
-"""The same of the knee's angle, s: six times the STO delay. Shorter: harder at its end stop. Longer: a gait trips."""
+"""Time by which the knee angle is extrapolated, s: six STO delays. Shorter: hits the end stop. Longer: a gait trips."""
 ROPE_SPAN, ROPE_AHEAD = 4, 6
 """Steps between the two speeds of the rope that give its acceleration, and such spans ahead: one, and the STO delay.
 Fewer: quantisation counts as speed (46 mm/s), or a conducting stage gives the drum 80 mm/s more for each span ahead."""
@@ -51,10 +51,10 @@ class Heartbeat(NamedTuple):
 
 
 class MonitorState(NamedTuple):
-    """Memory of the monitor between two steps; the default is that at power-on.
+    """State of the monitor between two steps; the defaults are the state at power-on.
 
-    `history` has time and inputs of the last `WINDOW` steps, oldest first. `cause` is None while the line is closed.
-    `working_ns` is the time since which a drive is OPERATIONAL, -1 if none is.
+    `time_ns`: of the last step. `history`: samples of the last `WINDOW` steps, oldest first. `heard`: last heartbeat of
+    each node. `working_ns`: since when a drive is OPERATIONAL, -1: none. `cause`, `text`: of the opening, None: closed.
     """
 
     time_ns: int = -1

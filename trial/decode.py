@@ -37,9 +37,10 @@ ANGLES = ("knee_angle_rad", "knee_target_rad")
 
 
 class Place(NamedTuple):
-    """Meaning of one mapped object: its signal, raw × scale / divisor in SI, its field and its first bit.
+    """Object in a PDO and the signal that it holds: value in SI = raw × `scale` / `divisor` + `offset`.
 
-    `optional`: the least integer marks a missing value.  `offset` is added, in SI.
+    `field` is the object's type and length, `bit` its first bit in the PDO. `optional`: the least integer of the type
+    means that the value is missing.
     """
 
     signal: str

@@ -94,9 +94,10 @@ class _LiveRecorder:
 
 @contextmanager
 def of_trial(where: str, name: str, network: Network, say: Callable[[str], None]) -> Iterator[TrialFeed]:
-    """Serve the page of a trial that runs inside this context, at `where` ([HOST:]PORT).
+    """Serve a live page at `where` ([HOST:]PORT) while the trial `name` runs inside this context; yield its feed.
 
-    `say` receives the address before the trial begins. Raises `InputError` if the address cannot be used.
+    The page's stop button ends the trial safely. `say` is called with the page's URL before the trial begins. Raises
+    `InputError` if the address cannot be used.
     """
     from master.cycle.run_safely import stop_button
 

@@ -96,12 +96,13 @@ class Diagnosis:
 
 
 class DiagnosisResult:
-    """Result of a diagnosis.
+    """Verdict of a diagnosis, with the named effects and the errors that remain.
 
-    `verdict`: none, found, ambiguous, unexplained or refused. `causes`: one dict an effect, with its site, its
-    parameters (value, low, high, unit) and its gain, %. `rivals`: effects that these data cannot separate, the chosen
-    ones first. `experiment`: the experiment that would separate them. `relations`: figures by relation. `warnings`:
-    sentences for the reader. `terms`: law beyond the causes, if one was asked for. `seconds`: its duration.
+    `verdict`: none, found, ambiguous, unexplained or refused. `causes`: a dict for each named effect, with site,
+    parameters (value, 95 % interval from low to high, unit) and gain, %. `rivals`: the ambiguity set, effects that
+    these data cannot separate, the named ones first; `experiment` would separate them. `relations`: RMS errors by
+    signal, before and after. `warnings`: sentences for the reader. `terms`: terms of a law that extends the model
+    beyond the named effects, empty unless asked for. `seconds`: computing time, s.
     """
 
     def __init__(

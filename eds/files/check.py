@@ -1,8 +1,8 @@
-"""`bowden check eds`: faults of an EDS or DCF, beyond those that other checkers find.
+"""Checks of EDS and DCF files, listed by `bowden check eds`: `findings` returns the faults of one file.
 
-Every finding has its place (file, section, key, line) and a remedy, and no file, however broken, stops the search. One
-search per kind of fault: in the text (sections, keys, numbers, limits), in the PDOs (a device would refuse the write,
-or two frames would collide), and against the profile in 0x1000, by the tables of `eds.profiles`.
+A fault has a place (file, section, key, line) and a remedy. There are three groups of checks: the text (sections, keys,
+numbers, limits); the PDOs (a mapping that a device would refuse, a COB-ID used twice); and the objects that the profile
+in 0x1000 requires, by the tables of `eds.profiles`. A file that cannot be parsed is a fault too, never an exception.
 """
 
 from collections import Counter

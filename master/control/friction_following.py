@@ -148,7 +148,7 @@ def follow(followed: FrictionChange, evidence: list[CycleEvidence]) -> FrictionC
 
 
 def evidence_of(history: Any) -> list[CycleEvidence]:
-    """Return the evidence of a linked list (sample, feedback, tracked, evidence, older)."""
+    """Return the observations of the gait cycles in a linked list, newest first."""
     found = []
     while history is not None:
         *_, one, history = history

@@ -52,7 +52,7 @@ class SyncCycle:
         self._hearing: dict[int, list[Exchange]] = {}
 
     def _run_paths(self) -> None:
-        """Hand what is received to the paths, each its own inputs and observers."""
+        """List the force paths that receive each COB-ID, and set the longest wait for a SYNC, ns."""
         self._patience_ns = self.paths[0].guard.limits.stale_cycles * self.wire.period_ns
         for path in self.paths:
             for can_id in path.heard:
@@ -139,14 +139,14 @@ class SyncCycle:
 
 
 class Exchange(SyncCycle):
-    """The running cycle over a link; SYNC must have been started.
+    """Control cycle of a bench over a link: `advance` sends the targets and returns the inputs of the next SYNC.
 
-    `missed_cycles` counts cycles with inputs or targets too late, `stale_inputs` the PDOs older than a cycle at a
-    step. `name` is the source of this path's events: the force path's name if there are several. `own` is the number of
-    the controller's further columns, `told` whether this cycle's row is recorded. `annotations` are a row's entries by
-    the controller, unless `advance` receives others. `kept`, if it is a list, gets each complete cycle. `paths` are the
-    force paths that the cycle runs, each with this interface; here itself alone. `rehoming`: the servo's position is
-    about to get another zero; `rehomed` ends that. `absent` has the bits of the inputs of this SYNC that have not come.
+    SYNC must be running. `missed_cycles` counts cycles whose inputs or targets were late; `stale_inputs` counts PDOs
+    older than one cycle that a control step used. `name` is the force path in events, "" if the bench has one path.
+    `own` is the number of columns that the controller adds to a row; `told` is true once this cycle's row is recorded.
+    `annotations` are the controller's entries in a row if `advance` receives none. `kept`, if a list, collects complete
+    cycles. `paths` are the force paths that this cycle runs, here itself. `rehoming` is true while homing sets another
+    servo zero; `rehomed` ends it. `absent` has a bit for each input of the present SYNC that has not been received.
     """
 
     alone, mirrors = True, False
@@ -428,7 +428,7 @@ class Exchange(SyncCycle):
         self._overdue_ns = min(max(overdue_ns, 0), self._patience_ns)
 
     def latched(self, sync_ns: int) -> None:
-        """Set the inputs of a SYNC from the received values; what is absent is missing."""
+        """Set `inputs` from the values received since the SYNC at `sync_ns`; mark an input without a PDO as missing."""
         missing = self.absent
         servo, knee, start, end = self._values
         self.inputs = inputs = Inputs(

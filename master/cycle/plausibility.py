@@ -236,9 +236,10 @@ def _curve(g: Any, force: float) -> float:
 def _one_stretch(
     s: Any, g: Any, relation: int, stretch: float, force: float, most: float, spread: float, knee: float
 ) -> None:
-    """Check the path's stretch against one tension; a slack path, with its drag alone, may have any length.
+    """Compare the path's `stretch`, m, with the stretch expected at the tension `force`, N.
 
-    `most`: the greatest mean tension of either sensor; beyond homing's, the stretch is less certain.
+    A slack path, whose tension is drag alone, may be shorter by any length. `most` is the larger of the two sensors'
+    mean tensions, N: the tolerance grows if it exceeds the largest tension of homing. `spread` is relative.
     """
     expected = _curve(g, max(force, 0.0))
     beyond = max(0.0, most - g[TOP_N])

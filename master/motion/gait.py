@@ -67,8 +67,10 @@ def resting_sample(gait: GaitTable, first: int, last: int) -> int:
 
 
 def run_in_sample(gait: GaitTable) -> int:
-    """Return the sample at which the run-in begins, in the idle time that ends the cycle (anywhere without idle
-    time)."""
+    """Return the sample at which the run-in begins: the knee's slowest one after the force has ended.
+
+    If the force lasts to the end of the cycle, it is the slower of the last two samples.
+    """
     loaded = np.flatnonzero(np.array(gait.desired) > 0.0)
     idle = int(loaded[-1]) + gait.samples // 10 if loaded.size else 0
     return resting_sample(gait, min(idle, gait.samples - 2), gait.samples)

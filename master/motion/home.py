@@ -111,7 +111,7 @@ LOOP: Final = 2.25
 
 
 LIFT: Final = 1.125
-"""Ratio of START while homing to the peak of the desired force: END then stays below that peak, by friction."""
+"""Ratio of the largest START tension while homing to the peak desired force. Friction keeps END below that peak."""
 
 
 def within(homing: Homing, calibration: Calibration, peak_n: float) -> tuple[Homing, Calibration]:

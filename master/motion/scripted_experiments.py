@@ -126,7 +126,7 @@ def run(link: Link, tap: can.BusABC | None, recorder: CycleSink | None, experime
 
 
 class Scripted:
-    """One script on one bench, with its tables made; raises `InputError` where it cannot be run."""
+    """Scripted experiment `name` prepared for a bench, with its tables; raises `InputError` if it cannot be run."""
 
     def __init__(self, experiment: ExperimentSetup, name: str) -> None:
         checked(name, where="experiment")

@@ -40,7 +40,7 @@ STAMPED: Final = PLAIN + 64
 LOST: Final = 24
 """Ancillary bytes of the count of lost frames."""
 DRIFT: Final = 10_000
-"""Inverse of the assumed largest drift between the adapter's clock and the computer's: 100 ppm, crystals' tolerance."""
+"""Inverse of the largest relative drift between the clocks of adapter and computer: 100 ppm, as of crystals."""
 
 MARKED_NS, SYNC_END, FIRST, TAKEN, OFFSET_NS, HARDWARE_NS, LATEST_NS, ECHOED, FRAMES_STAMPED, WORST_NS, TOLD = range(11)
 """State of the rows: time stamp of the last marked frame, −1 for none; the place behind the last SYNC; the first row

@@ -1,6 +1,6 @@
-"""canopen's SDO client, which expects a second thread, adapted once to a master with one.
+"""SDO client for a master with a single thread: canopen's client, whose wait for a response receives from the bus.
 
-Nothing else of the master imports canopen; a response is waited for by pumping the bus.
+canopen's own client waits on a queue that a second thread fills. No other module of the master imports canopen.
 """
 
 from collections.abc import Iterator

@@ -113,7 +113,7 @@ class LssMaster:
         return LssAddress(*(int.from_bytes(answer[1:5], "little") for answer in answers if answer is not None))
 
     def _answers_always(self, address: LssAddress) -> bool:
-        """Return whether a slave in configuration says yes to a vendor that it is not."""
+        """Return whether a slave confirms a wrong vendor id too: such a fastscan cannot find identities."""
         self._scanned(0, FASTSCAN_RESET, 0, 0)
         return self._scanned(address.vendor ^ 0xFFFFFFFF, 0, 0, 0)
 

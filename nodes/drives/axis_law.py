@@ -94,7 +94,7 @@ class RpdoEffect(NamedTuple):
 
 
 def arrays() -> tuple[Any, Any]:
-    """Return (s, g) of an axis at rest, off, without limits, gains zero."""
+    """Return state `s` and settings `g` of an axis: at rest, torque off, no limits, all gains 0, period 1 ms."""
     s, g = np.zeros(STATES), np.zeros(SETTINGS)
     s[TENSION_AGE_S] = math.inf
     g[[TORQUE_BOUND, TORQUE_MAX, TORQUE_HIGH, UNTRUSTED_TORQUE]] = math.inf

@@ -75,7 +75,7 @@ def needed(carrier: str) -> tuple[str, ...]:
 
 
 def site_of(carrier: str) -> str:
-    """Return the site of a carrier on the bench."""
+    """Return the part of the bench that a carrier (a constant that a term changes) belongs to, as in `SITES`."""
     return next((site for prefix, site in SITES_OF.items() if carrier.startswith(prefix)), "cable")
 
 

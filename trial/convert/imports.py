@@ -221,7 +221,7 @@ def _candump_frames(source: Path, progress: Progress) -> LoggedFrames:
 
 
 def _followed(lines: Iterable[str], raw: BoundedFile, progress: Progress) -> Iterator[str]:
-    """Yield `lines`, and report how much of the file `raw` has been read."""
+    """Yield `lines`; every `LINES_TOLD` of them call `progress` with the share of the file `raw` that has been read."""
     for number, line in enumerate(lines, start=1):
         if not number % LINES_TOLD:
             progress(raw.share())

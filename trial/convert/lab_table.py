@@ -18,7 +18,7 @@ from parameters import InputError
 Floats = NDArray[np.float64]
 
 SQUARED = 1e100
-"""Largest magnitude of a cell; the mean square of larger ones overflows a float64."""
+"""Largest magnitude that a cell may have, in the file's unit. Larger: the mean square of a column overflows."""
 TO_SI = {  # unit of a file: (unit of a signal, factor)
     "m": ("m", 1.0), "mm": ("m", 1e-3), "cm": ("m", 1e-2), "um": ("m", 1e-6), "µm": ("m", 1e-6), "in": ("m", 0.0254),
     "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "rad": ("rad", 1.0), "deg": ("rad", math.pi / 180),

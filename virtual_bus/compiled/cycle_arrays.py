@@ -53,7 +53,7 @@ class CycleRequest(NamedTuple):
 
 
 class Member(NamedTuple):
-    """A node of the bench, as station of the wire, as device and as profile."""
+    """Objects of one node: its CAN controller on the wire, its CiA 301 device, and its drive or sensor application."""
 
     station: NodeStation
     device: Device
@@ -259,7 +259,10 @@ def _tpdo(place: int, device: Drive | TensionSensor, pdo: TransmitPdo) -> law.Tp
 
 
 def _rpdo(place: int, device: Drive | TensionSensor, pdo: ReceivePdo, size: int, waits: bool) -> law.RpdoRecord | None:
-    """Return the row of an RPDO of the node at `place`, for frames of `size` bytes; `waits`: it may wait for SYNC."""
+    """Return the table row of an RPDO of node `place` for frames of `size` bytes; None if it cannot be compiled.
+
+    `waits`: whether a synchronous RPDO can be handled, which takes effect at the next SYNC.
+    """
     reception = pdo.steady()
     if reception is None or not isinstance(device, Drive) or reception.plan.size != size or len(reception.watched) > 1:
         return None

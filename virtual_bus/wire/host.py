@@ -140,7 +140,7 @@ class Host(Station):
 
 
 class Room:
-    """Buffer that `Kernel.run` reads: true once a station's transmit queue has room."""
+    """Number of free places in a station's transmit queue, as the length of a buffer that `Kernel.run` can wait for."""
 
     def __init__(self, station: Station) -> None:
         self._station = station
