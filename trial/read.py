@@ -20,6 +20,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from eds.declaration import DeclaredBench
 from parameters import InputError
 from trial.mcap_file import cdr, records
 from trial.mcap_file import container as mcap
@@ -366,6 +367,11 @@ PATHS = "paths"
 """Key of the metadata that lists a trial's force paths; a trial of a single path has none."""
 ALONE = "joint_alone"
 """Key of a path's metadata: true where no other path has its joint, so that its frames are those of a single path."""
+
+
+def paths_metadata(bench: DeclaredBench) -> dict[str, str]:
+    """Return the metadata that lists a bench's force paths; none for a bench of a single path."""
+    return {PATHS: " ".join(path.name for path in bench.force_paths)} if len(bench.force_paths) > 1 else {}
 
 
 def path_names(trial: TrialFile) -> tuple[str, ...]:

@@ -145,9 +145,10 @@ def opened_one(chosen: BusSettings, bitrate: int, **more: Any) -> Iterator[Any]:
         needed = missing_library(str(arguments["interface"]))
         if needed:
             raise InputError(f"interface {arguments['interface']}: needs {needed[0]}; say {needed[1]}.") from None
-        raise InputError(
-            f"interface {arguments['interface']}, channel {arguments['channel']}: cannot be opened ({error}); "
-            "check the name, that it is up, and its options.") from None
+        channel = arguments["channel"]
+        named, lacking = ("", "; no --channel was given") if channel is None else (f", channel {channel}", "")
+        raise InputError(f"interface {arguments['interface']}{named}: cannot be opened ({error}); check the name, that "
+                         f"it is up, and its options{lacking}.") from None
     try:
         yield bus
     finally:

@@ -21,7 +21,7 @@ from parameters import InputError
 from physics.bench_model import of_calibration
 from physics.calibration import nominal, read, write
 from trial import read as trial
-from trial.read import PATHS
+from trial.read import paths_metadata
 from trial.record import Recorder, RecordingError
 from trial.signals import of_bench
 
@@ -74,7 +74,7 @@ def perform(
         recorder = Recorder(
             recording, metadata={"experiment": f"identify {what}", "bench": chosen.bench,
                                  "rate_hz": str(network.rate_hz), "bitrate": str(network.bitrate),
-                                 "commit": provenance.commit(), **({PATHS: " ".join(paths)} if paths[0] else {}),
+                                 "commit": provenance.commit(), **paths_metadata(network.bench),
                                  **{f"{path}.bench": force_paths.bench_of(chosen.bench, path)
                                     for path in paths if path}},
             attachments={**provenance.attachments(wanted.guess, sections),

@@ -20,6 +20,7 @@ from parameters import InputError
 from trial.convert.frames import ChannelNumbers, rows_of
 from trial.convert.python_can import flags_of, payload_of, time_ns_of
 from trial.decode import Follower, events
+from trial.read import paths_metadata
 from trial.record import Recorder
 from trial.signals import of_bench
 
@@ -39,7 +40,8 @@ class BusRecording:
         self, path: Path, wire: WireLayout, *, about: Mapping[str, str], overwrite: bool = False,
         max_bytes: int | None = None, max_ns: int | None = None, threaded: bool = True,
     ) -> None:
-        self._path, self._overwrite, self._about = path, overwrite, dict(about)
+        self._path, self._overwrite = path, overwrite
+        self._about = {**about, **paths_metadata(wire.network.bench)}
         self._max_bytes, self._max_ns, self._threaded = max_bytes, max_ns, threaded
         self._wire = wire
         self._follower = Follower(wire)

@@ -92,10 +92,9 @@ def presence(given: Table, most_missing: float = 0.2) -> Iterator[Finding]:
         elif np.ptp(values[finite]) == 0.0 and "." not in name:
             yield Finding(f"{given.source}: {name} is constant at {values[finite][0]:g}; it is not used.")
         elif not finite.all():
-            share = 100.0 * (1.0 - finite.mean())
             moving = float(np.mean(~finite & ~_at_rest(given, finite)))
-            yield Finding(f"{given.source}: {name} lacks {share:.1f} % of its values, first at row "
-                          f"{int(np.argmin(finite)) + 2}.", moving > most_missing)
+            yield Finding(f"{given.source}: {name} lacks {np.count_nonzero(~finite)} of {finite.size} values, first at "
+                          f"row {int(np.argmin(finite)) + 2}.", moving > most_missing)
 
 
 def _at_rest(given: Table, recorded: NDArray[np.bool_], slow: float = 0.1) -> NDArray[np.bool_]:

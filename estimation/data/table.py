@@ -235,7 +235,11 @@ def _read_mcap(path: Path, joint: str | None, choose: RowChoice | None) -> Table
     words = [name for name in WORDS if name in trial.units]
     read = _columns(trial, [*(name for name in trial.units if name in UNITS or name.endswith(AGE_SUFFIX)), *words],
                     None if choose is None else _chosen(trial, choose))
-    made = table(str(path), recorded(read), _carried_calibration(trial))
+    kept = recorded(read)
+    if "time_s" not in kept and any(map(len, trial.frame_blocks())):
+        raise InputError(f"{path}: holds CAN frames and no signal: no cycle of the bench's PDOs is among them; say "
+                         f"bowden monitor {path} to see the frames, and import the log with --config of its bench.")
+    made = table(str(path), kept, _carried_calibration(trial))
     return replace(made, experiment=trial.metadata.get("experiment", ""))
 
 

@@ -134,6 +134,7 @@ def _segment(given: Table, kind: str) -> Segment:
     position = column("servo_position_m")
     end = column("tension_end_n") if "tension_end_n" in given else np.full(position.size, np.nan)
     target = given.columns.get("servo_target_m", position)
+    target = np.where(np.isfinite(target), target, position)
     return Segment(kind, period_s, target, position, column("knee_angle_rad"), column("tension_start_n"), end,
                    np.maximum(end, 0.0))
 

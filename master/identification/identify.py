@@ -256,8 +256,6 @@ def recorded(trial: Trial) -> list[Segment]:
     begun: dict[str, int] = {}
     homed: tuple[float, ...] = ()
     time_ns, columns = trial.time_ns, trial.columns
-    whole = columns["missed_inputs"] == 0
-    period_s = float(np.median(np.diff(time_ns))) * 1e-9
     for event in trial.events:
         if event.kind != "identify":
             continue
@@ -267,9 +265,9 @@ def recorded(trial: Trial) -> list[Segment]:
         elif edge == "begin":
             begun[kind] = event.time_ns
         elif kind in begun:
-            rows = whole & (time_ns >= begun[kind]) & (time_ns < event.time_ns)
-            segments.append(Segment(kind, period_s, *(columns[name][rows] for name in COLUMNS))._replace(
-                homed=homed))
+            rows = (columns["missed_inputs"] == 0) & (time_ns >= begun[kind]) & (time_ns < event.time_ns)
+            segments.append(Segment(kind, float(np.median(np.diff(time_ns))) * 1e-9,
+                                    *(columns[name][rows] for name in COLUMNS))._replace(homed=homed))
             homed = ()
     if not segments:
         raise InputError(f"{trial.path}: records no experiment of an identification; give a trial of bowden identify.")

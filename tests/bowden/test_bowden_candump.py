@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 
+import trial
 from eds.cia402 import text_of
+from trial.read import path_names
 
 Run = Callable[..., Any]
 FORMATS = {
@@ -48,6 +52,73 @@ def test_another_line_is_named(bowden: Run, here: Path, line: str) -> None:
     told = bowden("monitor", "a.log")
     assert (told.status, told.stderr.count("\n")) == (2, 1), told
     assert "a.log:2: " in told.stderr
+
+
+@pytest.mark.parametrize(("torn", "last", "left_out"), [("(1.2) can0 7", "3", "; it is left out"),
+                                                       ("(1.2) can0 704#7", "3", "; it is left out"),
+                                                       ("(1.2) can0 704#05", "4", "")])
+def test_a_torn_last_line_is_remarked_and_the_frames_before_it_are_shown(
+        bowden: Run, here: Path, torn: str, last: str, left_out: str) -> None:
+    Path("a.log").write_text("(1.0) can0 701#05\n(1.1) can0 703#05\n" + torn)
+    told = bowden("monitor", "a.log")
+    assert (told.status, told.stderr) == (
+        0, f"bowden: a.log:3: the last line has no end and may be torn: {torn!r}{left_out}.\n")
+    assert told.stdout.splitlines()[-1].split()[2] == last
+
+
+def test_a_torn_blf_is_remarked(bowden: Run, here: Path) -> None:
+    with can.BLFWriter("a.blf") as writer:
+        writer.on_message_received(can.Message(1.0, 0x701, data=b"\x05", is_extended_id=False))
+    Path("torn.blf").write_bytes(Path("a.blf").read_bytes()[:-3])
+    assert bowden("monitor", "a.blf").stderr == ""
+    told = bowden("monitor", "torn.blf")
+    assert (told.status, "3 bytes are missing at its end" in told.stderr) == (0, True), told
+
+
+FOREIGN = "".join(f"({k / 100:.6f}) can0 {0x301 + k % 3:03X}#0011\n" for k in range(100))
+
+
+@pytest.mark.parametrize("command", [
+    "diagnose foreign.mcap", "fit foreign.mcap -o model.toml", "simulate foreign.mcap",
+    "diagnose foreign.mcap --healthy foreign.mcap"])
+def test_a_trial_of_frames_alone_is_refused_as_what_it_is(bowden: Run, here: Path, command: str) -> None:
+    Path("foreign.log").write_text(FOREIGN)
+    assert bowden("import", "foreign.log", "-o", "foreign.mcap").status == 0
+    told = bowden(*command.split())
+    assert (told.status, told.stderr) == (2, (
+        "bowden: foreign.mcap: holds CAN frames and no signal: no cycle of the bench's PDOs is among them; say bowden "
+        "monitor foreign.mcap to see the frames, and import the log with --config of its bench.\n"))
+
+
+def test_a_trial_without_identification_is_refused_in_words(bowden: Run, here: Path) -> None:
+    Path("foreign.log").write_text(FOREIGN)
+    assert bowden("import", "foreign.log", "-o", "foreign.mcap").status == 0
+    told = bowden("identify", "all", "--from", "foreign.mcap", "-o", "calibration.toml")
+    assert (told.status, told.stderr) == (2, (
+        "bowden: foreign.mcap: records no experiment of an identification; give a trial of bowden identify.\n"))
+
+
+def test_the_log_of_another_bench_is_imported_by_its_declaration(bowden: Run, here: Path) -> None:
+    assert bowden("init", "--shape", "bench_two_legs", "-o", "bench.toml").status == 0
+    assert bowden("trial", "--config", "bench.toml", "--cycles", 1, "--settle", 0, "--period", 1, "-o", "a.mcap"
+                  ).status == 0
+    assert bowden("export", "a.mcap", "-o", "a.log").status == 0
+    assert bowden("import", "a.log", "-o", "b.mcap", "--config", "bench.toml").status == 0
+    made, imported = trial.open(Path("a.mcap")), trial.open(Path("b.mcap"))
+    assert path_names(imported) == path_names(made) == ("left", "right")
+    names = {name for name in made.columns if "tension" in name}
+    assert len(names) == 4
+    assert names <= set(imported.columns)
+
+
+def test_a_bench_is_fitted_from_its_imported_log(bowden: Run, here: Path) -> None:
+    """The log ends between a SYNC and the targets that answer it: the last row has no target."""
+    assert bowden("trial", "--cycles", 3, "--settle", 0, "--period", 1, "-o", "a.mcap").status == 0
+    assert bowden("export", "a.mcap", "-o", "a.log").status == 0
+    assert bowden("import", "a.log", "-o", "b.mcap").status == 0
+    told = bowden("fit", "b.mcap", "-o", "model.toml")
+    assert told.status == 0, told
+    assert re.search(r"servo_target_m lacks 1 of \d+ values", told.stdout)
 
 
 def test_statusword_controlword_and_mode_are_in_words(bowden: Run, here: Path) -> None:

@@ -182,7 +182,7 @@ def test_a_port_that_is_taken_is_refused(bowden: Callable[..., Any], here: Path)
     (("trial.mcap", "--interface", "virtual"), EITHER),
     (("trial.mcap", "--speed", "0"), "--speed 0: expected 0.001 … 1000; give another one."),
     (("none.mcap",), "none.mcap: "),
-    (("--interface", "nonesuch"), "interface nonesuch, channel None: cannot be opened"),
+    (("--interface", "nonesuch"), "interface nonesuch: cannot be opened"),
 ])
 def test_what_cannot_be_shown_is_refused(
     bowden: Callable[..., Any], here: Path, arguments: tuple[str, ...], sentence: str

@@ -251,3 +251,10 @@ def test_record_hears_a_bus_and_sends_nothing(here: Path, bowden: Callable[..., 
     assert json.loads(out)["frames"] == 20
     assert set(trial.open(here / "bus.mcap").frames["can_id"]) == {0x80}
     assert cdr.FRAMES in {one["name"] for one in json.loads(bowden("info", "bus.mcap", "--json")[1])["streams"]}
+
+
+def test_a_bus_that_cannot_be_opened_leaves_no_file(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
+    status, out, err = bowden("record", "--interface", "nonesuch", "-o", "bus.mcap")
+    assert (status, out, list(here.iterdir())) == (2, "", [])
+    assert err.startswith("bowden: interface nonesuch: cannot be opened")
+    assert err.endswith("; no --channel was given.\n")

@@ -7,7 +7,7 @@ is read, too, if its lines have time stamps.
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -85,15 +85,20 @@ def is_log(line: str) -> bool:
     return bool(_LINE.match(text) or _FD_LINE.match(text) or _SCREEN.match(text))
 
 
-def each(lines: Iterable[str], name: str) -> Iterator[CandumpLine]:
+def each(lines: Iterable[str], name: str, remark: Callable[[str], None]) -> Iterator[CandumpLine]:
     """Yield the frames of candump's lines; empty lines are passed over, and a line without a classical frame is an
     `InputError` with its number.
+
+    A last line without an end may be torn: `remark` is called with a sentence.
     """
     for number, line in enumerate(lines, 1):
-        frame = parse(line)
+        frame, torn = parse(line), not line.endswith("\n")
+        if torn and line.strip():
+            remark(f"{name}:{number}: the last line has no end and may be torn: {line.strip()[-60:]!r}"
+                   f"{'' if frame else '; it is left out'}.")
         if frame is not None:
             yield frame
-        elif line.strip():
+        elif line.strip() and not torn:
             raise InputError(f"{name}:{number}: {line.strip()[:60]!r} is no line of candump with a classical CAN "
                              "frame; write the log by candump -L.")
 

@@ -28,8 +28,9 @@ from trial.convert.csv_table import SignalSource
 from trial.convert.frames import ChannelNumbers, FrameRows, LoggedFrames, Row, mend, oddities, rising
 from trial.convert.lab_table import LabTable
 from trial.mcap_file import cdr, records
+from trial.read import paths_metadata
 from trial.record import Progress, TrialContent, silent
-from trial.signals import UNITS
+from trial.signals import UNITS, of_bench
 
 Floats = NDArray[np.float64]
 PYTHON_CAN = (".asc", ".blf", ".trc", ".db")
@@ -93,10 +94,12 @@ def import_file(
     reader = _reader(source)
     if mapped is not None and reader is not _from_table and reader is not _from_mcap:
         raise InputError(f"{source}: is a CAN log, which a map does not apply to; leave out --map.")
-    asked = ImportRequest(mapped, wire or wire_of(Network()), lambda share: progress(READING * share))
+    wire = wire or wire_of(Network())
+    asked = ImportRequest(mapped, wire, lambda share: progress(READING * share))
     content = reader(source, report, asked)
-    record.write(target, content, metadata={"imported_from": source.name}, result=report.as_json(),
-                   overwrite=overwrite, progress=lambda share: progress(READING + (1 - READING) * share))
+    record.write(target, content, metadata={"imported_from": source.name, **(
+        {} if reader is _from_table else paths_metadata(wire.network.bench))}, result=report.as_json(),
+        overwrite=overwrite, progress=lambda share: progress(READING + (1 - READING) * share))
     return report
 
 
@@ -286,7 +289,7 @@ def _from_frames(source: Path, frames: LoggedFrames, report: ImportReport, wire:
     report.channels = frames.channels
     events, found = decode.decoded_events_and_cycles(frames.rows, wire)
     report.counts |= found.counts
-    return TrialContent(found.time_ns, found.columns, frames.rows, events)
+    return TrialContent(found.time_ns, found.columns, frames.rows, events, of_bench(wire.network.bench))
 
 
 _FRAME = struct.Struct("<I3?B")

@@ -57,7 +57,7 @@ def bench(
                 "rate_hz": rate or network.rate_hz, "faults": injected}
         made.pop("interface")
         hidden = BowdenBus(**made)
-        terminal.remark(f"the bench is on {interface} {channel or ''}; Ctrl-C ends it.")
+        terminal.remark(f"the bench is on {chosen.in_words}; Ctrl-C ends it.")
         over = ending.after(seconds)
         try:
             with prepared(), ending.interrupted() as ended:

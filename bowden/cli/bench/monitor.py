@@ -160,8 +160,8 @@ def _of_file(source: Path) -> Iterator[MonitoredFrame]:
 
 
 def _of_candump(lines: Iterable[str], name: str) -> Iterator[MonitoredFrame]:
-    """Yield the frames of candump's lines; a line without a time counts as at 0."""
-    for frame in candump.each(lines, name):
+    """Yield the frames of candump's lines; a line without a time counts as at 0, a torn last line is remarked."""
+    for frame in candump.each(lines, name, terminal.remark):
         yield MonitoredFrame(frame.time_ns or 0, frame.can_id, frame.flags, frame.dlc, frame.payload)
 
 
@@ -171,6 +171,8 @@ def _of_log(source: Path) -> Iterator[MonitoredFrame]:
         reader = can.LogReader(source)
         try:
             yield from map(_of_message, reader)
+            if (missing := getattr(reader, "file_size", 0) - source.stat().st_size) > 0:  # of a BLF file, by its header
+                terminal.remark(f"{source}: {missing} bytes are missing at its end; these are the frames before them.")
         finally:
             reader.stop()
     except InputError:
@@ -224,12 +226,12 @@ def record(
     """
     reached = Bus(interface, channel, bitrate, option, config=config)
     network, chosen = reached.network(), reached.chosen()
-    made = BusRecording(output, wire(network), overwrite=True, about={
-        "interface": interface, "channel": channel or "", "bitrate": str(bitrate or network.bitrate)},
-        max_bytes=None if max_size is None else round(max_size * 1e6),
-        max_ns=None if max_time is None else round(max_time * 1e9))
-    with buses.opened_one(chosen, network.bitrate) as heard, made:
-        terminal.remark(f"recording {interface} {channel or ''}; Ctrl-C ends it.")
+    about = {"interface": interface, "channel": channel or "", "bitrate": str(bitrate or network.bitrate)}
+    with buses.opened_one(chosen, network.bitrate) as heard, BusRecording(
+            output, wire(network), overwrite=True, about=about,
+            max_bytes=None if max_size is None else round(max_size * 1e6),
+            max_ns=None if max_time is None else round(max_time * 1e9)) as made:
+        terminal.remark(f"recording {chosen.in_words}; Ctrl-C ends it.")
         try:
             failure = made.listen(heard, seconds, frames)
         except KeyboardInterrupt:

@@ -95,7 +95,7 @@ def serve(
         terminal.remark(fault)
     over = ending.after(seconds)
     with buses.opened_one(reached.chosen(), reached.network().bitrate) as bus, ending.interrupted() as ended:
-        terminal.remark(f"node {node_id} is on {reached.interface} {reached.channel or ''}; Ctrl-C ends it.")
+        terminal.remark(f"node {node_id} is on {reached.chosen().in_words}; Ctrl-C ends it.")
         try:
             figures = served.serve(bus, time.monotonic_ns, lambda: ended() or over(),
                                    echoes=reached.interface == "udp_multicast")

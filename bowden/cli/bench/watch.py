@@ -91,7 +91,7 @@ def _play(path: Path, reached: Bus, speed: float, web: str, over: Callable[[], b
 
 def _follow_bus(reached: Bus, web: str, over: Callable[[], bool]) -> int:
     network = reached.network()
-    shown = feeds.state(f"{reached.interface} {reached.channel or ''}".strip(), "bus", network, decode_events=True)
+    shown = feeds.state(reached.chosen().in_words, "bus", network, decode_events=True)
     with buses.opened_one(reached.chosen(), network.bitrate) as bus, \
             closing(LivePage(shown, web, None, feeds.OTHER_PROCESS)) as page:
         _show_page(page)
@@ -173,7 +173,7 @@ def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float 
     with watch_process.beside(output, bench, paced=False, shown=not terminal.quiet()) as watched, \
             buses.opened_one(reached.chosen(), network.bitrate) as heard:
         with BusRecording(output, wire(network), overwrite=True, about=about) as made:
-            terminal.remark(f"watching {reached.interface} {reached.channel or ''}; Ctrl-C ends it.")
+            terminal.remark(f"watching {reached.chosen().in_words}; Ctrl-C ends it.")
             try:
                 failure = made.listen(heard, seconds, None)
             except KeyboardInterrupt:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from bowden import output_files
+from bowden.bench import configuration
 from bowden.cli import options, terminal
 from bowden.cli.app import NothingGivenError, app
 from bowden.cli.options import argument, new_file, option
@@ -18,6 +19,7 @@ from parameters.files import write_whole
 with on_first_use():
     from bowden.models import logbook_entries
     from bowden.sweep import summary
+    from eds.bench.bench_network import wire
     from trial.compare import FieldDifference, TrialComparison
     from trial.compare import compare as compared
     from trial.convert import csv_table
@@ -47,6 +49,7 @@ Page = Annotated[Path | None, new_file("Both trials in one HTML page.", *options
 @app.command("import")
 def import_(
     source: Source, output: options.Output, columns: Map = None, guess: Guess = False, sheet: Sheet = None,
+    config: options.Config = None,
 ) -> CommandAnswer:
     """Make a trial of a table or a CAN log.
 
@@ -65,7 +68,8 @@ def import_(
         mapped = mapped or csv_table.Map()
         mapped.dialect = Dialect(sheet=sheet)
     with terminal.progress(f"importing {source}") as update:
-        report = import_file(source, output, mapped=mapped, overwrite=True, progress=update)
+        bench = wire(configuration.read(config, any_shape=True)["network"])
+        report = import_file(source, output, mapped=mapped, wire=bench, overwrite=True, progress=update)
     read_as = f"{source}: read with {', '.join(report.read_as)}."
     table = columns is None and bool(report.left_out) and "rows" in report.counts
     return CommandAnswer({"trial": str(output), **report.as_json()}, [
