@@ -20,17 +20,7 @@ from numpy.typing import NDArray
 from parameters import InputError
 from parameters.files import replaced
 from trial.mcap_file import cdr
-from trial.mcap_file.container import (
-    EVENTS_PER_CHUNK,
-    FRAMES_PER_CHUNK,
-    Block,
-    Container,
-    CycleBlock,
-    Events,
-    FrameBlock,
-    Writer,
-    cycles_per_chunk,
-)
+from trial.mcap_file.container import EVENTS_PER_CHUNK, Block, Container, Events, FlatBlock, Writer
 from trial.signals import SIGNALS, Signal
 
 FLUSH_NS = 100_000_000
@@ -52,30 +42,26 @@ class Recorder:
     """
 
     def __init__(
-        self,
-        path: str | Path,
-        *,
-        metadata: Mapping[str, str],
-        attachments: Mapping[str, bytes],
-        threaded: bool = True,
-        overwrite: bool = False,
-        signals: Sequence[Signal] = SIGNALS,
-        table: str = cdr.CYCLE,
+        self, path: str | Path, *, metadata: Mapping[str, str], attachments: Mapping[str, bytes], threaded: bool = True,
+        overwrite: bool = False, signals: Sequence[Signal] = SIGNALS, table: str = cdr.CYCLE,
     ) -> None:
         self.path = Path(path)
         self.width = len(signals)
-        self._table = table
-        self._cycles_per_chunk = cycles_per_chunk(self.width)
         cycle = cdr.cycle_row(self.width)
         self._cycle_bytes, self._pack_cycle = cycle.size, cycle.pack_into
         self._pack_frame = cdr.FRAME_STRUCT.pack_into
-        self._frames, self._cycles, self._events = FrameBlock(), CycleBlock(table, self.width), Events()
+        self._frames = FlatBlock(cdr.FRAMES, cdr.FRAME_ROW, cdr.FRAME_RECORD, cdr.frame_records)
+        self._cycles = FlatBlock(table, np.dtype([("time_ns", "<i8"), ("values", "<f8", (self.width,))]),
+                                cdr.cycle_record(self.width), cdr.cycle_records)
+        self._events = Events()
         self._due_ns = 0
         self._reported = False
         self._open(overwrite)
         try:
             container = Container(self._file, LIBRARY)
-            _describe(container, metadata, attachments)
+            container.metadata("trial", metadata)
+            for name, data in attachments.items():
+                container.attachment(name, "text/plain", data)
             channels = _open_channels(container, signals, table)
         except OSError as error:
             self._remove()
@@ -116,7 +102,7 @@ class Recorder:
             self._hand_over_all(time_ns)
         block = self._frames
         at = block.count
-        if at == FRAMES_PER_CHUNK:
+        if at == block.most:
             block, at = self._fresh_frames(), 0
         self._pack_frame(block.rows, at * FRAME_BYTES, time_ns, can_id, flags, size, channel, sent, data)
         block.count = at + 1
@@ -125,7 +111,7 @@ class Recorder:
         """Record `count` frames at once: bytes of `cdr.FRAME_ROW`s, in the order of their times to `last_ns`."""
         block, size = self._frames, count * FRAME_BYTES
         at = block.count
-        if last_ns < self._due_ns and at + count <= FRAMES_PER_CHUNK:
+        if last_ns < self._due_ns and at + count <= block.most:
             block.rows[at * FRAME_BYTES:at * FRAME_BYTES + size] = rows
             block.count = at + count
             return
@@ -134,7 +120,7 @@ class Recorder:
 
     def cycles(self, times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         """Record control cycles at once: n times, none before its predecessor, and (n, width) values."""
-        rows = np.empty(len(times_ns), self._cycles.dtype)
+        rows = np.empty(len(times_ns), self._cycles.row)
         rows["time_ns"], rows["values"] = times_ns, values
         first = 0
         while first < len(rows):
@@ -142,9 +128,9 @@ class Recorder:
             if not 0 <= time_ns < self._due_ns:
                 self._hand_over_all(time_ns)
             block = self._cycles
-            if block.count == self._cycles_per_chunk:
+            if block.count == block.most:
                 block = self._fresh_cycles()
-            room = first + self._cycles_per_chunk - block.count
+            room = first + block.most - block.count
             end = min(room, int(np.searchsorted(times_ns, self._due_ns)))
             at = block.count * self._cycle_bytes
             block.rows[at:at + (end - first) * self._cycle_bytes] = rows[first:end].tobytes()
@@ -157,7 +143,7 @@ class Recorder:
             self._hand_over_all(time_ns)
         block = self._cycles
         at = block.count
-        if at == self._cycles_per_chunk:
+        if at == block.most:
             block, at = self._fresh_cycles(), 0
         self._pack_cycle(block.rows, at * self._cycle_bytes, time_ns, *values)
         block.count = at + 1
@@ -201,30 +187,23 @@ class Recorder:
             self._reported = True
             raise RecordingError(self._writer.failure)
 
-    def _fresh_frames(self) -> FrameBlock:
-        full, spare = self._frames, self._writer.spare(cdr.FRAMES)
-        self._frames = spare if isinstance(spare, FrameBlock) else FrameBlock()
+    def _put(self, full: Block) -> None:
         self._writer.put(full)
         self._report()
+
+    def _fresh_frames(self) -> FlatBlock:
+        full, self._frames = self._frames, self._writer.spare(self._frames)
+        self._put(full)
         return self._frames
 
-    def _fresh_cycles(self) -> CycleBlock:
-        full, spare = self._cycles, self._writer.spare(self._table)
-        self._cycles = spare if isinstance(spare, CycleBlock) else CycleBlock(self._table, self.width)
-        self._writer.put(full)
-        self._report()
+    def _fresh_cycles(self) -> FlatBlock:
+        full, self._cycles = self._cycles, self._writer.spare(self._cycles)
+        self._put(full)
         return self._cycles
 
     def _fresh_events(self) -> None:
         full, self._events = self._events, Events()
-        self._writer.put(full)
-        self._report()
-
-
-def _describe(container: Container, metadata: Mapping[str, str], attachments: Mapping[str, bytes]) -> None:
-    container.metadata("trial", metadata)
-    for name, data in attachments.items():
-        container.attachment(name, "text/plain", data)
+        self._put(full)
 
 
 def _open_channels(container: Container, signals: Sequence[Signal], table: str) -> dict[str, int]:
@@ -251,10 +230,6 @@ def silent(share: float) -> None:
     """Report no progress."""
 
 
-def _no_frames() -> NDArray[np.void]:
-    return np.empty(0, cdr.FRAME_ROW)
-
-
 @dataclass
 class TrialContent:
     """A trial to be: cycles at `times` (ns, rising) with columns by signal name, frames, events (time first).
@@ -264,7 +239,7 @@ class TrialContent:
 
     times: NDArray[np.int64]
     columns: Mapping[str, NDArray[np.float64]]
-    frames: NDArray[np.void] = field(default_factory=_no_frames)
+    frames: NDArray[np.void] = field(default_factory=lambda: np.empty(0, cdr.FRAME_ROW))
     events: list[Event] = field(default_factory=list)
     signals: Sequence[Signal] = SIGNALS
 
@@ -296,9 +271,7 @@ def _record(recorder: Recorder, content: TrialContent, table: NDArray[np.float64
     for number, ((frame, cycle, event), (frame_end, cycle_end, event_end)) in enumerate(pairwise(windows), start=1):
         for time_ns, can_id, flags, dlc, channel, sent, data in content.frames[frame:frame_end].tolist():
             recorder.frame(time_ns, can_id, bytes(data[:dlc]), flags, channel, sent)
-        times = content.times[cycle:cycle_end].tolist()
-        for time_ns, values in zip(times, table[cycle:cycle_end].tolist(), strict=True):
-            recorder.cycle(time_ns, values)
+        recorder.cycles(content.times[cycle:cycle_end], table[cycle:cycle_end])
         for row in content.events[event:event_end]:
             recorder.event(*row)
         progress(number / (len(windows) - 1))

@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from io import FileIO
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, cast
 
 import numpy as np
 import zstandard
@@ -35,17 +35,11 @@ INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
 ZSTD_LEVEL = 1  # level 3 costs 1.6 times the processor time for a tenth of the size
 
 
-class ByteSink(Protocol):
-    """Destination of bytes: an unbuffered binary file."""
-
-    def write(self, data: bytes, /) -> int | None: ...
-
-
-def write_all(sink: ByteSink, data: bytes | bytearray) -> None:
+def write_all(file: FileIO, data: bytes | bytearray) -> None:
     """Write every byte of `data`; an unbuffered file may take fewer at a time than it is given."""
     view = memoryview(data)
     while view:
-        taken = sink.write(view)  # type: ignore[arg-type]
+        taken = file.write(view)
         if not taken:
             raise OSError("the file takes no more bytes")
         view = view[taken:]
@@ -54,9 +48,9 @@ def write_all(sink: ByteSink, data: bytes | bytearray) -> None:
 class Container:
     """An MCAP file being written: header and descriptions first, then chunks of one channel each."""
 
-    def __init__(self, sink: ByteSink, library: str) -> None:
+    def __init__(self, file: FileIO, library: str) -> None:
         self.position = 0
-        self._sink = sink
+        self._file = file
         self._crc = 0
         self._compress = zstandard.ZstdCompressor(level=ZSTD_LEVEL).compress
         self._summary: dict[int, bytearray] = {opcode: bytearray() for opcode in (
@@ -68,7 +62,7 @@ class Container:
         self._write(MAGIC + _record(mcap.Header("ros2", library)))
 
     def _write(self, data: bytes | bytearray) -> None:
-        write_all(self._sink, data)
+        write_all(self._file, data)
         self.position += len(data)
         self._crc = zlib.crc32(data, self._crc)
 
@@ -158,49 +152,33 @@ def _message_index(channel: int, times: NDArray[np.int64], offsets: NDArray[np.i
 
 
 CHUNK_BYTES = 65_536
-FRAMES_PER_CHUNK = CHUNK_BYTES // cdr.FRAME_RECORD.itemsize
 EVENTS_PER_CHUNK = 256
+ChunkContent = tuple[bytes | memoryview, NDArray[np.int64], NDArray[np.int64]]
+"""Content of a chunk: message records, the time of each (ns), and the byte where each begins."""
 
 
-class ChunkContent(NamedTuple):
-    """Content of a chunk: message records, bytes, the time of each (ns), and its start in `data`."""
+class FlatBlock:
+    """Rows of one topic in flat memory, at most a chunk of them.
 
-    data: bytes | memoryview
-    times: NDArray[np.int64]
-    offsets: NDArray[np.int64]
+    `row`, `record`: dtypes of a row and of its message record; `as_records` turns rows into records, with a channel
+    and a first sequence number. `most`: rows that the block holds.
+    """
 
+    __slots__ = ("as_records", "count", "most", "record", "row", "rows", "taken", "topic")
 
-class FrameBlock:
-    """CAN frames, as `cdr.FRAME_STRUCT` packs them."""
-
-    __slots__ = ("count", "rows", "taken")
-    topic = cdr.FRAMES
-
-    def __init__(self) -> None:
-        self.rows = bytearray(FRAMES_PER_CHUNK * cdr.FRAME_ROW.itemsize)
+    def __init__(self, topic: str, row: np.dtype[np.void], record: np.dtype[np.void],
+                 as_records: Callable[[NDArray[np.void], int, int], NDArray[np.void]]) -> None:
+        self.topic, self.row, self.record, self.as_records = topic, row, record, as_records
+        self.most = max(1, CHUNK_BYTES // record.itemsize)
+        self.rows = bytearray(self.most * row.itemsize)
         self.count = self.taken = 0
 
     def content(self, first: int, end: int, channel: int, sequence: int) -> ChunkContent:
         """Return rows `first` to `end` as message records, numbered from `sequence`."""
-        rows = np.frombuffer(self.rows, cdr.FRAME_ROW)[first:end]
-        return _fixed(cdr.frame_records(rows, channel, sequence), rows["time_ns"])
-
-
-class CycleBlock:
-    """Control cycles, as `cdr.cycle_row(width)` packs them."""
-
-    __slots__ = ("count", "dtype", "rows", "taken", "topic")
-
-    def __init__(self, topic: str, width: int) -> None:
-        self.topic = topic
-        self.dtype = np.dtype([("time_ns", "<i8"), ("values", "<f8", (width,))])
-        self.rows = bytearray(cycles_per_chunk(width) * self.dtype.itemsize)
-        self.count = self.taken = 0
-
-    def content(self, first: int, end: int, channel: int, sequence: int) -> ChunkContent:
-        """Return rows `first` to `end` as message records, numbered from `sequence`."""
-        rows = np.frombuffer(self.rows, self.dtype)[first:end]
-        return _fixed(cdr.cycle_records(rows, channel, sequence), rows["time_ns"])
+        rows = np.frombuffer(self.rows, self.row)[first:end]
+        records = self.as_records(rows, channel, sequence)
+        offsets = np.arange(len(records), dtype=np.int64) * records.dtype.itemsize
+        return memoryview(cast(Any, records.view(np.uint8))), rows["time_ns"].copy(), offsets
 
 
 class Events:
@@ -221,22 +199,10 @@ class Events:
             offsets.append(len(data))
             data += cdr.MESSAGE_HEAD.pack(cdr.MESSAGE, len(payload) + 22, channel, number, time_ns, time_ns) + payload
         times = np.array([row[0] for row in self.rows[first:end]], np.int64)
-        return ChunkContent(bytes(data), times, np.array(offsets, np.int64))
+        return bytes(data), times, np.array(offsets, np.int64)
 
 
-Block = FrameBlock | CycleBlock | Events
-
-
-def cycles_per_chunk(width: int) -> int:
-    """Return how many cycles of `width` columns make a chunk."""
-    return max(1, CHUNK_BYTES // cdr.cycle_record(width).itemsize)
-
-
-def _fixed(records: NDArray[np.void], times: NDArray[np.int64]) -> ChunkContent:
-    offsets = np.arange(len(records), dtype=np.int64) * records.dtype.itemsize
-    return ChunkContent(memoryview(cast(Any, records.view(np.uint8))), times.copy(), offsets)
-
-
+Block = FlatBlock | Events
 IDLE_S = 0.1  # where the bus falls silent, what is waiting is written after this long
 
 
@@ -255,7 +221,7 @@ class Writer:
         self._path, self._file, self._container, self._channels = path, file, container, channels
         self._waiting = waiting
         self._sequence = dict.fromkeys(channels, 0)
-        self._spare: dict[str, list[Block]] = {topic: [] for topic in channels}
+        self._spare: dict[str, list[FlatBlock]] = {topic: [] for topic in channels}
         self._queue: queue.SimpleQueue[Block | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         if threaded:
@@ -269,10 +235,10 @@ class Writer:
         else:
             self._queue.put(block)
 
-    def spare(self, topic: str) -> Block | None:
-        """Return an emptied block, if one is at hand."""
-        spare = self._spare[topic]
-        return spare.pop() if spare else None
+    def spare(self, full: FlatBlock) -> FlatBlock:
+        """Return an emptied block like `full`, or a new one if none is at hand."""
+        spare = self._spare[full.topic]
+        return spare.pop() if spare else FlatBlock(full.topic, full.row, full.record, full.as_records)
 
     def join(self) -> None:
         """Wait until every block is written, and end the thread."""
@@ -310,7 +276,7 @@ class Writer:
 
     def _take(self, block: Block) -> None:
         self._write(block, block.count)
-        if not isinstance(block, Events):
+        if isinstance(block, FlatBlock):
             block.count = block.taken = 0
             self._spare[block.topic].append(block)
 
