@@ -147,6 +147,7 @@ class PosteriorMode:
         """HL."""
         return np.asarray(self.design @ self.factor)
 
+    @cached_property
     def strain(self) -> float:
         """Return the RMS departure from the prior's mean, in prior σ, over the directions that the data determine.
 

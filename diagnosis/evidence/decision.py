@@ -165,7 +165,7 @@ def misfits(found: TrialModes, at: PosteriorMode, variants: Sequence[Variant] = 
 
 def departure(observed: SessionData, at: PosteriorMode) -> float:
     """Return how far a mode is from a reference trial's: `session` of `Decision.misfit`."""
-    return min(at.cost / (observed.count * observed.cost * float(observed.growth.mean())), at.strain())
+    return min(at.cost / (observed.count * observed.cost * float(observed.growth.mean())), at.strain)
 
 
 def _left(at: PosteriorMode, errors: Sequence[Array]) -> Array:

@@ -2,8 +2,9 @@
 
     ln B(s) = ½ s²G²/(1 + G) − ½ ln(1 + G)        G = EᵀC⁻¹E for an effect of one prior σ, s its size in prior σ
 
-The limit is the size at which ln B reaches the threshold of a named effect.  E: change of the data by the effect.
-C: covariance of the data in the reference condition.  Two effects look alike if EᵀC⁻¹E' is close to √(G·G').
+The limit is the size at which ln B, over the overdispersion, reaches the threshold of a named effect.  E: change of
+the data by the effect.  C: covariance of the data in the reference condition.  Two effects look alike if EᵀC⁻¹E' is
+close to √(G·G').
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class EffectResponse(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Size, in prior σ, at which the log Bayes factor reaches `nats`, the threshold of a named effect."""
+        """Size, in prior σ, at which the log Bayes factor reaches `nats`, from which an effect is named."""
         return least_size(self.square, self.nats)
 
     def alike(self, other: EffectResponse) -> float:
@@ -57,17 +58,19 @@ class DetectionLimit(NamedTuple):
 
 
 def detection_limits(
-    observed: SessionData, null: PosteriorMode, bench: Mapping[str, float],
+    observed: SessionData, null: PosteriorMode, bench: Mapping[str, float], overdispersion: float = 1.0,
 ) -> dict[str, DetectionLimit]:
     """Return the detection limit of each effect, at the mode `null` and the constants `bench`.
 
+    `overdispersion`: of the trial, by which log Bayes factors are divided.
     A limit outside the bounds of its parameter has the value None.
     """
     told: dict[str, DetectionLimit] = {}
     model, table = observed.model, null.table
     for name, variants in hypotheses(observed, bench).items():
         parameter, read = next(iter(model.hypotheses[name].reads.items()))
-        best = min((_response(observed, null, variant) for variant in variants), key=lambda r: r.size)
+        nats = threshold(model) * overdispersion
+        best = min((_response(observed, null, variant, nats) for variant in variants), key=lambda r: r.size)
         low, high, unit = model.limits(name, parameter)
         q, value = null.q.copy(), None
         if np.isfinite(best.size):
@@ -79,7 +82,6 @@ def detection_limits(
     return told
 
 
-def _response(observed: SessionData, null: PosteriorMode, variant: Variant) -> EffectResponse:
+def _response(observed: SessionData, null: PosteriorMode, variant: Variant, nats: float) -> EffectResponse:
     effect, applied = response(null, observed, variant)
-    return EffectResponse(variant, effect[:, 0], applied[:, 1], float(effect[:, 0] @ applied[:, 1]),
-                          threshold(observed.model))
+    return EffectResponse(variant, effect[:, 0], applied[:, 1], float(effect[:, 0] @ applied[:, 1]), nats)

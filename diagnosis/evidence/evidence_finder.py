@@ -11,7 +11,7 @@ from diagnosis.evidence import decision
 from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, Decision
 from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
-from diagnosis.evidence.hypothesis_search import TrialModes
+from diagnosis.evidence.hypothesis_search import TrialModes, overdispersion
 from diagnosis.evidence.identical_motion import search_trial
 from diagnosis.findings import Findings
 from estimation.data.table import Table
@@ -117,8 +117,7 @@ class EvidenceFinder:
                             "so it removes no effect; record it in the reference condition, too.")
             decided = split or decided
         figures = _held_out(found, decided, reference, trials, read)
-        alone = len(self._tables) == 1 and not self.model.pools_sessions and pair is None
-        if refused := _refused(found, decided, alone=alone):
+        if refused := _refused(found, decided):
             said.append(refused)
             decided = self._known(decision.unnamed(found))
             figures = replace(figures, named=None)
@@ -278,20 +277,16 @@ def _at_peak(found: TrialModes, at: PosteriorMode, variant: Variant) -> dict[str
     return {name: float(error[peak]) for name, error in model.errors(trial, first).items() if name in model.judged}
 
 
-def _refused(found: TrialModes, decided: Decision, *, alone: bool) -> str:
+def _refused(found: TrialModes, decided: Decision) -> str:
     """Return a sentence if the best effect is not named after all; else "".
 
     With a lack of fit of the best model, the evidence must reach `DOUBTED` times the threshold, and no misfit may
-    exceed `DOUBTED` times that of a lack of fit.  So it must if the reference trial is `alone`, of another motion: it
-    shows nothing of how sessions of this bench differ.  No gain on held-out cycles is required: far outside their
-    scatter, constants of the session predict an effect as well as the effect itself.
+    exceed `DOUBTED` times that of a lack of fit.  No gain on held-out cycles is required: far outside their scatter,
+    constants of the session predict an effect as well as the effect itself.
     """
     if not decided.chosen:
         return ""
     name = decided.chosen[0]
-    if alone and decided.gains[name] < DOUBTED * decision.threshold(found.observed.model):
-        return (f"{name} raises the likelihood, but not enough beside one reference trial, which does not show how "
-                "sessions differ: it is not named. Another reference trial would tell.")
     left = max((decided.misfit[key] for key in decided.lacking if key != "session"), default=0.0)
     if decided.lacking and (left > DOUBTED * decision.MISFIT
                             or decided.gains[name] < DOUBTED * decision.threshold(found.observed.model)):
@@ -422,7 +417,8 @@ def _held_out(found: TrialModes, decided: Decision, reference: ReferenceFit, tab
 def _limits(found: TrialModes, bench: Mapping[str, float]) -> dict[str, Mapping[str, Any]]:
     """Return the detection limit of each effect in these trials as published."""
     return {name: {"parameter": limit.parameter, "value": limit.value, "unit": limit.unit}
-            for name, limit in detection_limits(found.observed, found.null, bench).items()}
+            for name, limit in detection_limits(found.observed, found.null, bench,
+                                                overdispersion(found.reference, found.null)).items()}
 
 
 def _sd(at: PosteriorMode, read: Any) -> float:

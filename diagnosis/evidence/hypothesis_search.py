@@ -43,15 +43,29 @@ class TrialModes:
 
     def gains(self) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each candidate against the null, best first."""
-        found = {name: at.log_evidence - self.null.log_evidence for name, at in self.single.items()
-                 if name not in self.refused}
-        return dict(sorted(found.items(), key=lambda item: -item[1]))
+        return self._against(self.null, self.single)
 
     def further(self, name: str) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each pair with effect `name` against `name` alone, best first."""
-        alone = self.single[name].log_evidence
-        found = {b: at.log_evidence - alone for (a, b), at in self.pair.items() if a == name and b not in self.refused}
+        return self._against(self.single[name], {b: at for (a, b), at in self.pair.items() if a == name})
+
+    def _against(self, base: PosteriorMode, offered: Mapping[str, PosteriorMode]) -> dict[str, float]:
+        """Return the log Bayes factor, nats, of each candidate against `base`, over the best mode's overdispersion."""
+        candidates = {name: at for name, at in offered.items() if name not in self.refused}
+        scale = overdispersion(self.reference, max([base, *candidates.values()], key=lambda at: at.log_evidence))
+        found = {name: (at.log_evidence - base.log_evidence) / scale for name, at in candidates.items()}
         return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def overdispersion(reference: ReferenceFit, at: PosteriorMode) -> float:
+    """Return the variance of a session about the reference condition over the expected one, at least 1.
+
+    One reference trial shows nothing of how sessions of its bench differ.  The departure of the trial's constants in
+    the best mode `at` does: a log likelihood is taken for one of so many times the variance (quasi-likelihood,
+    Wedderburn 1974).
+    """
+    alone = len(reference.identified) == 1 and not reference.model.pools_sessions
+    return max(1.0, at.strain**2) if alone else 1.0
 
 
 def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[str, tuple[Variant, ...]]:

@@ -98,7 +98,6 @@ def test_a_reference_bench_raises_no_suspicion_and_its_trial_is_what_it_is_witho
 
 
 @pytest.mark.exhaustive
-@pytest.mark.xfail(strict=True, reason="a false alarm since decision 50: knee_backlash, 40.6 nats")
 def test_a_bench_that_only_the_linear_model_suspects_is_not_suspected() -> None:
     one = compared(Question("lugre", "", 13001))
     assert one.largest >= threshold(PATH_MODEL)

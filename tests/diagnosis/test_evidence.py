@@ -272,7 +272,7 @@ def test_trials_from_the_prior_depart_by_one_sigma_in_the_directions_that_they_d
         none = np.zeros(0)
         at = PosteriorMode(PATH_MODEL.constants, none, x, (), 0.0, 0.0, factor, inner, design, design[:, :0], none,
                            none, np.zeros(12))
-        squares.append(at.strain() ** 2)
+        squares.append(at.strain ** 2)
     # the mean of 400 draws of about seven squares each scatters by 2·√(2/7)/√400 = 5 % at two sigma
     assert np.mean(squares) == pytest.approx(1.0, abs=0.05)
 

@@ -100,7 +100,8 @@ def both(job: Job, particles: int) -> tuple[Job, str, float, float]:
     fitted = finder.reference([made.trial])
     observed = fitted.observe(PATH_MODEL.record(made.trial))
     found = search(observed, fitted.prior, fitted)
-    best, laplace = next(iter(found.gains().items()))
+    best = next(iter(found.gains()))
+    laplace = found.single[best].log_evidence - found.null.log_evidence
     with_effect = sampled(observed, fitted.prior, [found.variants[best]], found.single[best], particles)
     return job, best, laplace, with_effect - sampled(observed, fitted.prior, [], found.null, particles)
 
