@@ -36,58 +36,53 @@ def setup(name: str, network: Network) -> PageSetup:
 
 def state(name: str, kind: str, network: Network, paths: Sequence[str] | None = None, *, decode_events: bool = False
           ) -> LiveState:
-    """Return the state of a page for a bench with this network, by this process's clock; `paths`: of a recorded trial.
-    """
+    """Return the state of a page that this process serves for a bench; `paths`: force paths of a recorded trial."""
     _, bitrate, nodes, silent_s, own = setup(name, network)
     return LiveState(name, kind, time.monotonic, bitrate, nodes, silent_s, paths or own, decode_events=decode_events)
 
 
 class TrialFeed:
-    """Stream of a trial to its live page."""
-
-    def __init__(self, page: PageProcess, places: Sequence[int]) -> None:
-        self._page, self._places = page, places
-
-    def beside(self, recording: CycleSink) -> CycleSink:
-        """Return a recorder that also feeds the page."""
-        return _LiveRecorder(recording, self._page, self._places)
-
-    def suspected(self, sentence: str) -> None:
-        """Show the present suspicion of the diagnosis during the trial."""
-        self._page.suspected(sentence)
-
-    def ended(self, sentence: str) -> None:
-        """Show the outcome of the trial."""
-        self._page.status("ended", sentence)
-
-
-class _LiveRecorder:
-    """A trial's recorder with the page beside it: frames, rows and events go to both, the recorder first.
+    """Recorder of a trial that shows it on its live page too: frames, rows and events go to both, the recorder first.
 
     A stop that the page has asked for is recorded as an event, from the trial's own thread. `places`: of the forces in
     a row.
     """
 
-    def __init__(self, recording: CycleSink, page: PageProcess, places: Sequence[int]) -> None:
-        self._record, self._page, self._places, self._told_stop = recording, page, places, False
+    def __init__(self, page: PageProcess, places: Sequence[int]) -> None:
+        self._page, self._places, self._stop_recorded = page, places, False
+        self.suspected = page.suspected
+        self._record: CycleSink
+
+    def beside(self, recording: CycleSink) -> CycleSink:
+        """Return this feed in place of the trial's recorder `recording`, which receives everything first."""
+        self._record = recording
+        return self
+
+    def ended(self, sentence: str) -> None:
+        """Show the outcome of the trial."""
+        self._page.status("ended", sentence)
 
     def frame(self, time_ns: int, can_id: int, data: bytes, flags: int = 0, channel: int = 0, sent: bool = False
               ) -> None:
+        """Record and show one CAN frame."""
         self._record.frame(time_ns, can_id, data, flags, channel, sent)
         self._page.frame(time_ns, can_id, data, flags)
 
     def frames(self, rows: Any, count: int, last_ns: int) -> None:
+        """Record and show `count` frames, bytes of `cdr.FRAME_ROW`s."""
         self._record.frames(rows, count, last_ns)
         self._page.frames(rows)
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None:
+        """Record one control cycle and show its forces."""
         self._record.cycle(time_ns, values)
         self._page.force(time_ns, *[values[place] for place in self._places])
-        if self._page.stop_asked and not self._told_stop:
-            self._told_stop = True
+        if self._page.stop_asked and not self._stop_recorded:
+            self._stop_recorded = True
             self.event(time_ns, "stop", "master", "safe stop requested by the live page's button.")
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
+        """Record and show an event."""
         self._record.event(time_ns, kind, source, text)
         self._page.event(time_ns, kind, source, text)
 

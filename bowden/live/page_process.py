@@ -27,8 +27,7 @@ BLOCK: Final = struct.Struct("<I")
 """Length of a block, which is the pickled name and arguments of a method of `LiveState`."""
 SEND_NS: Final = 20_000_000
 """Bus time between two transmissions to the page. Shorter: more system calls in the control thread. Longer: the page
-lags.
-"""
+lags."""
 MOST_WAITING: Final = 1 << 22
 """Bytes that wait for the page; further blocks are left out until it has taken them."""
 NICENESS: Final = 10

@@ -65,7 +65,7 @@ class LiveState:
         self._events: deque[tuple[float, str, str, str]] = deque(maxlen=EVENTS_KEPT)
         self._beats: dict[int, tuple[int, int] | None] = dict.fromkeys(nodes)
         self._loads: deque[tuple[int, int]] = deque()
-        self._status, self._sentence, self._suspicion = "waiting", "", ""
+        self.present_status, self._sentence, self._suspicion = "waiting", "", ""
         self.watchers = 0
         self.player: dict[str, float] | None = None
         """Position, length (s) and speed of a recorded trial; None where nothing is played."""
@@ -96,11 +96,6 @@ class LiveState:
         """Set the present suspicion of a diagnosis; callable from any thread."""
         self._suspicion = sentence
 
-    @property
-    def present_status(self) -> str:
-        """Status that a page shows now."""
-        return self._status
-
     def begin_again(self) -> None:
         """Forget all content but the zero of time, for a seek; callable from any thread."""
         with self.changed:
@@ -111,7 +106,7 @@ class LiveState:
     def status(self, status: str, sentence: str = "") -> None:
         """Set the trial's status (waiting, running, paused or ended) and the sentence shown with it."""
         with self.changed:
-            self._status, self._sentence = status, sentence
+            self.present_status, self._sentence = status, sentence
             self.changed.notify_all()
 
     def digest(self) -> None:
@@ -123,8 +118,8 @@ class LiveState:
                 self._row(time_ns, *forces)
             for event in _emptied(self._new_events):
                 self._happened(*event)
-            if self._status == "waiting" and self._heard_at is not None:
-                self._status = "running"
+            if self.present_status == "waiting" and self._heard_at is not None:
+                self.present_status = "running"
             self.changed.notify_all()
 
     def message(self, seen: tuple[int, int, int]) -> tuple[dict[str, Any], tuple[int, int, int]]:
@@ -137,7 +132,7 @@ class LiveState:
             rows = events = 0
         age = None if self._heard_at is None else self._clock() - self._heard_at
         told = {
-            **self._about, "player": self.player, "status": self._status, "sentence": self._sentence,
+            **self._about, "player": self.player, "status": self.present_status, "sentence": self._sentence,
             "suspicion": self._suspicion, "epoch": self._epoch,
             "age_s": age, "now_s": self._seconds(self._now_ns), "load_percent": self._load(), "nodes": self._nodes(),
             "rows": _last(self._rows, self._row_count - rows),

@@ -73,8 +73,7 @@ class LivePage:
         if host in ("0.0.0.0", "::"):
             shown = socket.gethostname()
         self.url = f"http://{shown}:{self.port}/" + ("" if self.loopback else f"?token={self.token}")
-        self._names = frozenset({host.lower(), socket.gethostname().lower(), "localhost"} if self.loopback
-                                else {host.lower(), socket.gethostname().lower()})
+        self._names = {host.lower(), socket.gethostname().lower(), *(["localhost"] if self.loopback else [])}
         self._threads = [threading.Thread(target=target, name="live page", daemon=True)
                          for target in (self._server.serve_forever, self._tick)]
         for thread in self._threads:
@@ -113,12 +112,6 @@ class LivePage:
     def knows(self, token: str) -> bool:
         """Return whether a token is this page's, compared in constant time."""
         return hmac.compare_digest(token.encode(), self.token.encode())
-
-    def ask_to_stop(self) -> None:
-        """Request the safe stop; callable from any thread."""
-        if self.stop is not None:
-            self.stop()
-            self.stop_asked = True
 
 
 class _Server(ThreadingHTTPServer):
@@ -203,7 +196,8 @@ class _Handler(BaseHTTPRequestHandler):
         elif page.stop is None:
             self._refuse(409, page.no_stop)
         else:
-            page.ask_to_stop()
+            page.stop()
+            page.stop_asked = True
             self._answer(202, "The safe stop was requested.\n", "text/plain; charset=utf-8")
 
     def _play(self, page: LivePage, query: dict[str, list[str]]) -> None:
