@@ -86,7 +86,7 @@ class CommandGroup(typer.Typer):
     """A Typer application of commands with short help."""
 
     def __init__(self, **given: Any) -> None:
-        super().__init__(**{"cls": Group, **given})
+        super().__init__(**{"cls": Group, "rich_markup_mode": None, **given})
 
     def command(self, name: str | None = None, **given: Any) -> Callable[[Registered], Registered]:
         """Register a command; its option groups are spelt out, and the answer that it returns is printed."""
@@ -145,7 +145,6 @@ app = CommandGroup(
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 160},
     pretty_exceptions_enable=False,
     no_args_is_help=False,
-    rich_markup_mode=None,
 )
 
 

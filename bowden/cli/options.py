@@ -58,38 +58,28 @@ def new_file(help: str = "File to write.", content: str = "", *endings: str, nam
     return declared
 
 
-def _beginning(names: Iterable[str], incomplete: str) -> list[str]:
-    return [name for name in names if name.startswith(incomplete)]
+def completing(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Return the completion of an option's value: those of `names` that begin as typed."""
+    def beginning(incomplete: str) -> list[str]:
+        return [name for name in names() if name.startswith(incomplete)]
+
+    return beginning
 
 
-def effects(incomplete: str) -> list[str]:
-    """Return the effects of the catalogue, and "any", that begin as typed."""
-    return _beginning(("any", *catalogue.CATALOGUE), incomplete)
-
-
-def experiments(incomplete: str) -> list[str]:
-    """Return the experiments that begin as typed."""
-    return _beginning((*SCRIPTED, "repeat"), incomplete)
-
-
-def controllers(incomplete: str) -> list[str]:
-    """Return the installed controllers that begin as typed."""
-    return _beginning(sorted(entry.name for entry in entry_points(group="bowden.controllers")), incomplete)
-
-
-def serials(incomplete: str) -> list[str]:
-    """Return the first twenty serials of simulated benches that begin as typed."""
-    return _beginning(map(str, range(1, 21)), incomplete)
-
-
-def declared_paths(incomplete: str) -> list[str]:
-    """Return the force paths of ./bench.toml that begin as typed; none without a declaration that can be read."""
+def _declared_paths() -> list[str]:
+    """Return the force paths of ./bench.toml; none without a declaration that can be read."""
     try:
         bench = configuration.read(Path("bench.toml"), any_shape=True)["network"].bench
     except InputError:
         return []
-    return _beginning((path.name for path in bench.force_paths), incomplete)
+    return [path.name for path in bench.force_paths]
 
+
+effects = completing(lambda: ("any", *catalogue.CATALOGUE))
+experiments = completing(lambda: (*SCRIPTED, "repeat"))
+controllers = completing(lambda: sorted(entry.name for entry in entry_points(group="bowden.controllers")))
+serials = completing(lambda: map(str, range(1, 21)))
+declared_paths = completing(_declared_paths)
 
 PICTURE = ("a picture", *output_files.PICTURES)
 PAGE = ("a page", ".html", ".htm")

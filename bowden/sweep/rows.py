@@ -69,10 +69,8 @@ DECLARED = "network.bench"
 
 
 def _option(name: str) -> Any:
-    found = next(field for field in dataclasses.fields(Options) if field.name == name)
-    declared = found.metadata["declared"]
-    return parameter(found.default, declared.unit, declared.text, low=declared.low, high=declared.high,
-                     source=declared.source)
+    found = Options.__dataclass_fields__[name]
+    return dataclasses.field(default=found.default, metadata=found.metadata)
 
 
 @dataclass(frozen=True)
@@ -314,6 +312,4 @@ def reference(row: Row, varied: Container[str]) -> tuple[Reference, Gait]:
     return built, gait
 
 
-@cache
-def _affordable(network: Network) -> None:
-    bus_load.refuse(wire(network))
+_affordable = cache(lambda network: bus_load.refuse(wire(network)))

@@ -116,17 +116,15 @@ def name_of(row: Mapping[str, str]) -> str:
 def ranked(rows: Sequence[Mapping[str, str]]) -> list[RankedController]:
     """Return the controllers of a sweep by the median error of their trials; behind them those of which a trial
     stopped."""
-    found = [_ranked(name, [row for row in rows if name_of(row) == name]) for name in {name_of(row) for row in rows}]
+    found = []
+    for name in {name_of(row) for row in rows}:
+        own = [row for row in rows if name_of(row) == name]
+        error, idle, jump = map(spreads(own).get, (ERROR, IDLE, JUMP))
+        found.append(RankedController(
+            name, len(own), completed(own), error and error.median, error and error.least, error and error.greatest,
+            idle and idle.median, jump and jump.median, stopped(own)))
     return sorted(found, key=lambda one: (one.completed < one.trials, math.inf if one.error_percent is None
                                           else one.error_percent, one.controller))
-
-
-def _ranked(name: str, rows: Rows) -> RankedController:
-    found = spreads(rows)
-    error, idle, jump = (found.get(figure) for figure in (ERROR, IDLE, JUMP))
-    return RankedController(
-        name, len(rows), completed(rows), error and error.median, error and error.least, error and error.greatest,
-        idle and idle.median, jump and jump.median, stopped(rows))
 
 
 def draw_ranking(rows: Sequence[Mapping[str, str]], path: Path) -> None:

@@ -159,20 +159,17 @@ class _Reading:
         rows = np.fromiter((line.row for line in body), np.int64, len(body))
         found = LabTable(self.path, unique(names, reserved), columns.values, units or [""] * len(names), rows,
                          {}, {}, self.counts, self.remarks, header)
+        first = self.comments[0].text.lstrip() if self.comments else "#"
         found.dialect = {
             "encoding": self.encoding, "delimiter": self.delimiter, "decimal": "," if self.comma else ".",
-            "comment": self.dialect.comment or self._comment_mark(), "header_row": header, "units_row": self.units_row}
+            "comment": self.dialect.comment or next(mark for mark in COMMENTS if first.startswith(mark)),
+            "header_row": header, "units_row": self.units_row}
         found.faults = {found.names[place]: (body[at].row, cell) for place, (at, cell) in columns.faults.items()}
         for place, begins_ns in columns.begins_ns.items():
             found.begins_ns[found.names[place]] = begins_ns
             found.units[place] = "s"
             self.remarks.append(f"{found.names[place]} is {started(begins_ns)}")
         return found
-
-    def _comment_mark(self) -> str:
-        """Return the mark that the first comment line begins with; "#" without one."""
-        first = self.comments[0].text.lstrip() if self.comments else "#"
-        return next(mark for mark in COMMENTS if first.startswith(mark))
 
     # ---- the rows above the numbers ----
 
@@ -317,7 +314,8 @@ def _numbers(reading: _Reading, names: Sequence[str], body: Sequence[_Line]) -> 
     """Return every column of the rows; a row of another length raises `InputError`."""
     delimiter, comma = reading.delimiter, reading.dialect.decimal == ","
     if not reading.dialect.decimal and delimiter != ",":
-        comma = _has_decimal_comma(reading, body)
+        comma = any(_COMMA_INSIDE.search(line.text) and any(map(_COMMA_NUMBER.match, reading.cells(line.text)))
+                    for line in body)
     reading.comma = comma
     if comma:
         reading.remarks.append("decimal comma")
@@ -347,13 +345,6 @@ def _filled(text: str, delimiter: str) -> str:
     return text[1:-1]
 
 
-def _has_decimal_comma(reading: _Reading, body: Sequence[_Line]) -> bool:
-    for line in body:
-        if _COMMA_INSIDE.search(line.text) and any(_COMMA_NUMBER.match(cell) for cell in reading.cells(line.text)):
-            return True
-    return False
-
-
 def _rows(reading: _Reading, width: int, body: Sequence[_Line]) -> Iterable[list[str]]:
     for line in body:
         cells = reading.cells(line.text)
@@ -369,7 +360,8 @@ def _by_column(columns: Sequence[Sequence[str]], comma: bool) -> _Columns:
         values, fault = _parsed(cells, comma)
         if fault is not None and _THOUSANDS.match(fault[1]):
             grouped = True
-            values, fault = _parsed([_THOUSANDS.sub(_ungrouped, cell) for cell in cells], comma)
+            values, fault = _parsed([_THOUSANDS.sub(lambda number: number[0].replace(number[1], ""), cell)
+                                     for cell in cells], comma)
         if fault is not None:
             first = next((cell for cell in cells if cell.strip().lower() not in UNKNOWN), "")
             timed = time_column(cells, UNKNOWN) if is_time(first) else None
@@ -384,10 +376,6 @@ def _by_column(columns: Sequence[Sequence[str]], comma: bool) -> _Columns:
 
 _THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}([.,])\d{3}(?:\1\d{3})*(?!\1)[.,]\d+\s*$")
 """Number with marks between its thousands and another decimal mark: 1.234,5 or 1,234.5."""
-
-
-def _ungrouped(number: re.Match[str]) -> str:
-    return number[0].replace(number[1], "")
 
 
 def _parsed(cells: Sequence[str], comma: bool) -> tuple[Floats, tuple[int, str] | None]:

@@ -101,7 +101,8 @@ def columns_of(sheet: LabTable, mapped: Mapping[str, SignalSource] | None = None
     for signal, source in sources.items():
         if source.column not in sheet:
             raise InputError(f"{path}: the map takes {signal} from {source.column!r}, which is no column of the file; "
-                             f"expected one of {_listed(sheet.names)}.")
+                             f"expected one of {', '.join(sheet.names[:30])}"
+                             + (f" and {len(sheet.names) - 30} more." if len(sheet.names) > 30 else "."))
         unit = source.unit or sheet.unit(source.column)
         factor = SignalSource(source.column, unit, source.scale).factor(signal, f"{path}: {source.column}")
         columns[signal] = sheet.column(source.column) * factor + source.offset
@@ -135,26 +136,18 @@ def offer(path: Path) -> str:
             f"bowden import {path} --map map.toml -o trial.mcap")
 
 
-def _listed(names: list[str]) -> str:
-    return ", ".join(names[:30]) + (f" and {len(names) - 30} more" if len(names) > 30 else "")
-
-
 def _canonical(sheet: LabTable, mapped: Mapping[str, SignalSource] | None) -> list[tuple[str, SignalSource]]:
     """Return signals whose column has their name; beside a map, only those whose cells are numbers."""
     named = [(name, SignalSource(column=name)) for name in sheet.names if name in UNITS and name not in (mapped or {})
              and not (mapped and name in sheet.faults)]
     for name, source in named:
-        _refuse_other_unit(sheet, name, source)
+        stated = sheet.unit(source.column)
+        if stated and TO_SI[stated] != (UNITS[name], 1.0):
+            raise InputError(f"{sheet.path}: {name} is in {UNITS[name]} by its name and in {stated} by the row of "
+                             f"units; say which with --map: [{name}], column = \"{name}\" and unit.")
     if DEGREE_ALIAS in sheet and "gait_percent" in sheet and not {"knee_angle_rad"} & {*sheet.names, *(mapped or {})}:
         named.append(("knee_angle_rad", SignalSource(column=DEGREE_ALIAS, unit="deg")))
     return named
-
-
-def _refuse_other_unit(sheet: LabTable, name: str, source: SignalSource) -> None:
-    stated = sheet.unit(source.column)
-    if stated and TO_SI[stated] != (UNITS[name], 1.0):
-        raise InputError(f"{sheet.path}: {name} is in {UNITS[name]} by its name and in {stated} by the row of units; "
-                         f"say which with --map: [{name}], column = \"{name}\" and unit.")
 
 
 def _words(text: str) -> frozenset[str]:

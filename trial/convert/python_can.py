@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from parameters import InputError
 from parameters.files import BoundedFile, refuse_large, refuse_special, unpacked_ending
-from trial.convert.frames import ChannelNumbers, FrameRows, LoggedFrames, Row
+from trial.convert.frames import ChannelNumbers, FrameRows, LoggedFrames
 from trial.mcap_file import cdr
 from trial.read import frame_blocks
 from trial.record import Recorder
@@ -245,13 +245,9 @@ def _take(message: can.Message, rows: FrameRows, channels: ChannelNumbers, count
         counts["malformed_frames"] += 1
     else:
         counts["dlc_above_8"] += message.dlc > 8
-        rows.add(_row(message, channels))
-
-
-def _row(message: can.Message, channels: ChannelNumbers) -> Row:
-    data = payload_of(message)
-    return (time_ns_of(message), message.arbitration_id, flags_of(message), len(data),
-            channels.number(message.channel), not message.is_rx, data)
+        data = payload_of(message)
+        rows.add((time_ns_of(message), message.arbitration_id, flags_of(message), len(data),
+                  channels.number(message.channel), not message.is_rx, data))
 
 
 def write_log(path: Path, blocks: Iterable[NDArray[np.void]]) -> int:

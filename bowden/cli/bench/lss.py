@@ -19,7 +19,7 @@ with on_first_use():
     from master.node_access.lss_master import LssMaster, address_of, refuse_taken
     from master.node_access.remote_node import nmt
 
-lss = CommandGroup(help="Node ids and bit rates of devices by LSS (CiA 305).", rich_markup_mode=None)
+lss = CommandGroup(help="Node ids and bit rates of devices by LSS (CiA 305).")
 app.add_typer(lss, name="lss")
 
 Chosen = Annotated[int | None, option("The device with this node id.", "--node", metavar="ID")]

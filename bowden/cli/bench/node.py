@@ -36,8 +36,7 @@ with on_first_use():
     from master.node_access.remote_node import NodeAccess
 
 Act = Callable[["Link", "DescribedNode", "Dictionary"], "list[ParameterDifference]"]
-node = CommandGroup(help="Any CANopen node by its id: objects, PDOs, errors, NMT, parameters as DCF.",
-                    rich_markup_mode=None)
+node = CommandGroup(help="Any CANopen node by its id: objects, PDOs, errors, NMT, parameters as DCF.")
 app.add_typer(node, name="node")
 
 Name = Annotated[str, argument("NODE", "Node id 1 … 127, or servo, knee, start, end.")]

@@ -33,7 +33,7 @@ with on_first_use():
     from master.own_limits import by_path
     from physics import setup_check
 
-check = CommandGroup(help="Find faults before anything runs.", rich_markup_mode=None)
+check = CommandGroup(help="Find faults before anything runs.")
 app.add_typer(check, name="check")
 
 Files = Annotated[list[Path], argument("FILE…", "EDS or DCF files.")]

@@ -24,7 +24,7 @@ with on_first_use():
     from trial import signals
     from trial.report import words
 
-logbook = CommandGroup(help="Track a bench's constants over months.", rich_markup_mode=None)
+logbook = CommandGroup(help="Track a bench's constants over months.")
 app.add_typer(logbook, name="logbook")
 
 Folder = Annotated[Path, argument("DIR", "The logbook's folder.")]
@@ -41,7 +41,7 @@ Table = Annotated[str, option("trials, sessions, constants, verdicts, notes or m
 Text = Annotated[str, argument("TEXT", "Maintenance, in words.")]
 Part = Annotated[list[str] | None, option(
     "Part (cable, fabric, knee, start, end, drive) or constant that is new; repeatable.", metavar="NAME",
-    autocompletion=lambda incomplete: _completed(incomplete))]
+    autocompletion=options.completing(lambda: (*bench_state.PARTS, *bench_state.CONSTANTS)))]
 After = Annotated[str | None, option("Session after which it was done (default: the newest by date).", metavar="LABEL")]
 Everything = Annotated[bool, option("All constants, in place of the ten that moved most.", "--all")]
 SHOWN = 10
@@ -87,7 +87,7 @@ def list_trials(folder: Folder, most: Most = 20) -> CommandAnswer:
         name, counts, entries = book.name, book.counts(), book.trials(most)
     rows = [(str(e.id), e.label, e.experiment, e.outcome or "–",
              terminal.number(e.figures.get("relative_rmse_percent")),
-             _near(e.path) if e.there else f"{e.path} (not found)") for e in entries]
+             e.path.removeprefix(f"{Path.cwd()}/") if e.there else f"{e.path} (not found)") for e in entries]
     return CommandAnswer(
         {"bench": name, **{f"{k}s": v for k, v in counts.items()}, "newest": [entry._asdict() for entry in entries]},
         lambda: terminal.table(f"{name}: {counts['trial']} trials in {counts['session']} sessions", (
@@ -155,15 +155,6 @@ def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After
         note = book.enter_note(text, names, last)
     return CommandAnswer({"note": note.id, "text": text, "resets": list(names)},
                   f"Note {note.id}: {text}. Resets: {', '.join(names) or 'nothing; --part names what is new'}.")
-
-
-def _near(path: str) -> str:
-    """Return a path without the folder in which the command runs."""
-    return path.removeprefix(f"{Path.cwd()}/")
-
-
-def _completed(incomplete: str) -> list[str]:
-    return [name for name in (*bench_state.PARTS, *bench_state.CONSTANTS) if name.startswith(incomplete)]
 
 
 def _limits(given: Sequence[str] | None) -> dict[str, float]:

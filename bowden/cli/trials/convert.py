@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -152,7 +151,11 @@ def compare(
             compare_page.write(one, other, found, report, overwrite=True)
 
     def words() -> None:
-        _four_figures(compare_page.judged(one), compare_page.judged(other))
+        judged = [compare_page.judged(trial) for trial in (one, other)]
+        rows = [(f"{text} ({unit})", *(terminal.number(values.get(name)) for values in judged))
+                for name, unit, text in trial_page.FIGURES if any(values.get(name) is not None for values in judged)]
+        if rows:
+            terminal.table("figures", ("figure", "A", "B"), rows)
         _tell_everything(found) if everything else _tell(found)
         if report is not None:
             print(f"Page: {report}")
@@ -208,13 +211,6 @@ def _against_history(trial: Path, logbook: Path | None, report: Path | None) -> 
     return CommandAnswer(found, words, 1 if found["probability"] < RARE else 0)
 
 
-def _four_figures(a: Mapping[str, float | None], b: Mapping[str, float | None]) -> None:
-    rows = [(f"{text} ({unit})", terminal.number(a.get(name)), terminal.number(b.get(name)))
-            for name, unit, text in trial_page.FIGURES if a.get(name) is not None or b.get(name) is not None]
-    if rows:
-        terminal.table("figures", ("figure", "A", "B"), rows)
-
-
 SHOWN = 4  # keys of a line
 
 
@@ -225,7 +221,8 @@ def _tell(found: TrialComparison) -> None:
     ended = {row.key: row for row in found.result}
     told = [row for row in found.metadata if row.key not in HASHES]
     if told:
-        print(f"Set up differently: {'; '.join(_change(row) for row in told[:SHOWN])}{_more(told)}.")
+        more = f"; and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
+        print(f"Set up differently: {'; '.join(map(_change, told[:SHOWN]))}{more}.")
     if "outcome" in ended and ended["outcome"].a != ended["outcome"].b:
         print(f"Ended: {_change(ended.get('stop_reason', ended['outcome']))}.")
     if found.attachments:
@@ -248,10 +245,6 @@ HASHES = ("commit", "calibration_digest", "packages", "limits_digest")
 def _change(row: FieldDifference) -> str:
     a, b = ("–" if value is None else str(value)[:60] for value in (row.a, row.b))
     return f"{row.key.replace('_', ' ')} {a} in A, {b} in B"
-
-
-def _more(rows: Sequence[object]) -> str:
-    return f"; and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
 
 
 def _tell_everything(found: TrialComparison) -> None:
