@@ -108,14 +108,15 @@ class _State(NamedTuple):
 class _Balance(NamedTuple):
     """Force balances of one time step.
 
-    By node: position `at`, its value without sliding, `rest`, and before Newton's step, `back`, m; friction state
-    `slip` and its slope `turn`; residual, N; half the friction exponent; drag, N/m; dry friction, N; Newton's step, m;
-    diagonals of the Jacobian; `turned`, reciprocal of the pre-sliding distance.  By spring: tension, N, and its slope;
-    share of the fabric's stretch; `per_stretch`, N/m of the cable, 1/m of the fabric.
+    By node: position `at`, its value without sliding, `rest`, and before Newton's step, `back`, m; expected `change` of
+    its move, m; friction state `slip` and its slope `turn`; residual, N; half the friction exponent; drag, N/m; dry
+    friction, N; Newton's step, m; diagonals of the Jacobian; `turned`, reciprocal of the pre-sliding distance.  By
+    spring: tension, N, and its slope; share of the fabric's stretch; `per_stretch`, N/m of the cable, 1/m of fabric.
     """
 
     at: Array
     rest: Array
+    change: Array
     back: Array
     slip: Array
     turn: Array
@@ -138,12 +139,15 @@ def simulate(parameters: Array, rope_m: Array, knee_rad: Array, dt_s: float) -> 
     """Simulate the path for each column of `parameters`, shape (len(NAMES), sets).
 
     `rope_m`, `knee_rad`: measured motion, shape (samples,), every `dt_s`.  Returns arrays of shape (sets, samples).
+    The sets of a Jacobian differ little: beside the first one, which leads, the others take half of its time.
     """
     out = np.zeros((5, parameters.shape[1], rope_m.size))
+    led = np.zeros((rope_m.size + 1, NODES))
     balance = _Balance(*np.zeros((len(_Balance._fields), NODES + 1)))
     for j, p in enumerate(np.ascontiguousarray(parameters.T)):
         state = _State(*np.zeros((4, NODES)), np.zeros((NODES, 3)), np.zeros(NODES + 1), np.zeros(3))
-        _run(p, np.ascontiguousarray(rope_m), np.ascontiguousarray(knee_rad), dt_s, state, balance, out[:, j])
+        _run(p, np.ascontiguousarray(rope_m), np.ascontiguousarray(knee_rad), dt_s, state, balance, led, j == 0,
+             out[:, j])
     return PathResponse(*out)
 
 
@@ -206,8 +210,7 @@ def _friction(p, theta, surface, half, dt, z, a):  # type: ignore[no-untyped-def
             a.drag[i] = LIGHT / dt / FABRIC_NODES
             a.dry[i] = p[DRY] / FABRIC_NODES
             a.rest[i] = z.position[i] + surface
-        # a move that changes as it did is the first guess
-        a.at[i] = a.rest[i] + 2.0 * z.moved[i] - z.before[i]
+        a.at[i] = a.rest[i] + z.moved[i] + a.change[i]
 
 
 @njit(**INLINED)
@@ -279,7 +282,7 @@ def _solve(p, u, w, late, z, a):  # type: ignore[no-untyped-def]
 
 
 @njit(**COMPILED)
-def _run(p, rope, knee, dt, z, a, out):  # type: ignore[no-untyped-def]
+def _run(p, rope, knee, dt, z, a, led, leads, out):  # type: ignore[no-untyped-def]
     w = last = _anchor(p, knee[0])
     leg = knee[0]
     _begin(p, rope[0], w, z, a)
@@ -292,6 +295,9 @@ def _run(p, rope, knee, dt, z, a, out):  # type: ignore[no-untyped-def]
         # the load closes the gap, N·m: rope at a lever of 40 mm (11) less the leg's weight; 0.3 N·m rounds the reversal
         pull = 0.04 * z.tension[CABLE_NODES] - 0.9 * math.sin(theta)
         w = _anchor(p, leg + p[GAP] * pull / (abs(pull) + 0.3))
+        # the first guess: each move changes as in the set that leads, and in that one as it did in the step before
+        for i in range(NODES):
+            a.change[i] = z.moved[i] - z.before[i] if leads else led[k + 1, i] - led[k, i]
         _friction(p, theta, p[SURFACE] * (w - last), 0.5 * (1.0 + p[DRIFT] * k / rope.size), dt, z, a)
         _solve(p, u, w, z.retarded[0] + z.retarded[1] + z.retarded[2], z, a)
         for i in range(NODES):
@@ -300,6 +306,8 @@ def _run(p, rope, knee, dt, z, a, out):  # type: ignore[no-untyped-def]
             # backward Euler of v̇s = (v − vs)/τ
             z.speed[i] += (moved / dt - z.speed[i]) * dt / (p[MEMORY] + dt)
             z.position[i], z.before[i], z.moved[i] = a.at[i], z.moved[i], moved
+            if leads:
+                led[k + 1, i] = moved
         for i in range(NODES + 1):
             z.tension[i] = a.tension[i]
         # backward Euler of the retarded stretch γ̇ = (J·T − γ)/τ (Kelvin and Voigt)
