@@ -145,7 +145,10 @@ def _parts(strides: Sequence[Stride], variation: Variation, samples: int, period
 
 
 def _stride(stride: Stride, length: int, size: float, samples: int, tripped: int = 0, begins: float = 1.0) -> _Part:
-    """Return a stride of `length` samples, its amplitude about its mean times `size`, with a stumble of `tripped`."""
+    """Return a stride of `length` samples whose amplitude about its mean is scaled by `size`.
+
+    A stumble of `tripped` samples, 0 for none, begins at the phase `begins`.
+    """
     angle_at, at = curve(stride, size), begins * length
     if not tripped:
         return _Part(WALK, length, lambda t: angle_at(t / length), lambda t: t / length, _half(samples))

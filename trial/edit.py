@@ -232,7 +232,7 @@ class _Writer:
         return self._channels[key]
 
     def finish(self, result: Mapping[str, object]) -> None:
-        """Write the result, which each value is JSON of, and the summary."""
+        """Write the metadata record "result", each value as JSON, and the summary that ends the file."""
         self._writer.add_metadata("result", {name: json.dumps(value) for name, value in result.items()})
         self._writer.finish()
         if self._span is not None:

@@ -270,8 +270,8 @@ class Bus(NamedTuple):
     def chosen(self, simulated: SimulatedOptions | None = None, *, always_simulated: bool = False) -> buses.BusSettings:
         """Return the bus to open; raises `InputError` for contradictory options.
 
-        A channel or an option without an interface means a real bus that would not be opened: it is refused, but
-        where a command is `always_simulated`.
+        --channel or --option without --interface is refused: the user means a real bus, and a simulated one would be
+        opened. A command that is `always_simulated` accepts them.
         """
         options = dict(_option(text) for text in self.option or ())
         asked: dict[str, Any] = {
@@ -304,7 +304,7 @@ def _option(text: str) -> tuple[str, Any]:
 
 
 BusAlone = Annotated[Bus, "interface", "channel", "bitrate", "option"]
-"""The bus without a bench's declaration: its named options alone."""
+"""Options of a bus for a command that reads no configuration: without --config and --raise-limits."""
 
 
 _options_of = cache(partial(get_type_hints, include_extras=True))

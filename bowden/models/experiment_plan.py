@@ -140,8 +140,10 @@ def of_trials(trials: Sequence[Path], healthy: Sequence[Path], session_sd: Mappi
 
 
 def of_logbook(folder: Path) -> ExperimentPlan:
-    """Plan for the change that `bowden logbook show` states; without one for the newest trial that a diagnosis left
-    ambiguous, with the experiments of its session."""
+    """Return the plan for the change that `bowden logbook show` states.
+
+    If it states none, the plan is for the newest trial with an ambiguous verdict, and its session's experiments.
+    """
     healthy, deviations = logbook_entries.reference_trials(folder)
     with open_logbook(folder) as book:
         change = logbook_entries.change_trials(book)

@@ -191,7 +191,7 @@ PAPER_RMSE_PERCENT = {40.0: 2.53, 50.0: 2.16, 60.0: 2.07}
 def write_trial_page(
     recorded: read.TrialFile, path: Path, *, overwrite: bool = False, progress: Progress = SILENT
 ) -> int:
-    """Write a trial as one HTML page that needs no network; returns its bytes.  Raises `InputError`."""
+    """Write a trial as one HTML page that needs no network; return the page's size, bytes. Raises `InputError`."""
     output_files.refuse([path], overwrite=overwrite, inputs=[recorded.path])
     with progress.running("report") as update:
         return trial_page.write(

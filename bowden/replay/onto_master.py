@@ -32,7 +32,10 @@ from virtual_bus.serve import serve
 
 @dataclass(frozen=True)
 class FrameDifference:
-    """The first frame that is not as recorded: which one of its COB-ID, when (s from the master's first), both."""
+    """First frame of the live master that differs from the recorded one.
+
+    `number`: among the frames of its COB-ID; `time_s`: since the master's first frame; data in hexadecimal.
+    """
 
     cob_id: int
     number: int

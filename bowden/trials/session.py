@@ -253,9 +253,9 @@ def _several_paths(
     controller_model: Path | BenchModel | None, chosen: BusSettings, dry_run: bool, script: str | None,
     files: Mapping[str, bytes],
 ) -> PreparedTrial:
-    """Join sections to an experiment of several force paths; each path has its calibration file.
+    """Prepare a trial of a bench of several force paths, with a calibration file for each path.
 
-    A controller model may have a file of some of the paths alone; no effect is compensated on the others.
+    On a path for which the controller model has no file, no effect is compensated.
     """
     whole = ExperimentSetup(reference=reference, dry_run=dry_run, **sections)
     setups: dict[str, ExperimentSetup] = {}

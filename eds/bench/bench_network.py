@@ -111,7 +111,7 @@ FRAME_BITS: Final = 64
 BITRATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)
 
 ASKED: Final = Field(key(0x607A), "Asked angle", 32, "i", math.pi / 180_000.0, signed=True)
-"""Angle that a joint without a drive is asked to go to, in the frame of targets: 1/1000 degree, as for a knee drive."""
+"""Target angle of a joint without a drive, which a person moves: 1/1000 degree, in the frame of targets."""
 STEP_LIMIT: Final = 0x2017
 """Greatest step of a drive's position target, in its position unit; 0: none."""
 STEP_US: Final = 10_000

@@ -83,7 +83,7 @@ def _without_comment(value: str) -> str:
 
 
 CONTROLS = bytes(set(range(1, 32)) - set(b"\t\n\f\r\x1a"))
-"""Bytes that no text has; NUL is left out, because UTF-16 without its mark has it."""
+"""Control characters that no text file contains. NUL is not among them, since UTF-16 contains it."""
 BINARY_SHARE = 0.01
 """Share of such bytes from which a file is no text: 0.1 of random bytes, 0 of the texts of EDS tools."""
 

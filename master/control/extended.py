@@ -252,7 +252,7 @@ def _fed_back(deviation: float, desired: float, slack: float, end: EndEstimate, 
 
 def _evidence(seen: ControllerInput, state: ExtendedState, config: ExtendedConfig, now: float, desired: float,
               slack: float, end: EndEstimate, here: Ahead) -> Any:
-    """Return what this control cycle tells of friction and backlash; None at idle and at small forces."""
+    """Return this control cycle's observation of friction and backlash; None at idle or below `least_n`."""
     if slack > 0.0 or desired <= config.least_n:
         return None
     return friction_evidence(

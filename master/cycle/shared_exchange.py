@@ -111,7 +111,7 @@ class SharedExchange(SyncCycle):
                 self.link.send(plan.cob_id, plan.pack(*(self._words[node] for node in nodes)))
 
     def advance(self, answers: Mapping[str, Answer]) -> None:
-        """Send the answers of the named paths, the others holding, and take the inputs of the next SYNC.
+        """Send each path its controller's answer, else its last targets; receive the inputs of the next SYNC.
 
         Raises `StopError` for a condition of safety's table, `LinkError` if the bus is gone.
         """

@@ -203,7 +203,7 @@ def release(homing: Homing, limits: Limits) -> Procedure:
 
 
 def _zero(exchange: Exchange, node: int, reading_n: float) -> None:
-    """Take the mean reading off the offset (0x6124); a device without one zeroes its present value (0x6125)."""
+    """Zero a sensor: subtract the mean reading, N, from offset 0x6124; without that object command auto-zero 0x6125."""
     link = exchange.link
     if key(_OFFSET, 1) in exchange.wire.nodes[node].dictionary.entries:
         offset = struct.unpack("<f", link.sdo_read(node, _OFFSET, 1))[0]

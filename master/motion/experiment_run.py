@@ -160,9 +160,9 @@ def drawn_walk(experiment: ExperimentSetup, table: GaitTable, first: int, rest: 
 
 
 class PreparedExperiment:
-    """An experiment with its tables made, and what homing found once it has run (`homed`).
+    """Experiment with every table computed before SYNC starts; `homed` is the result of homing, set during the run.
 
-    Whatever takes longer than a part of a control cycle is done here: nothing waits for it once SYNC runs.
+    Computations that would take longer than a control cycle allows are done here.
     """
 
     def __init__(self, experiment: ExperimentSetup) -> None:

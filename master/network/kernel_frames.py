@@ -195,8 +195,7 @@ HEED: Final = SIZES + INPUTS
 NUMBERS: Final = HEED + HEEDED
 """Further indices: COB-IDs of the inputs, their least sizes, results of `heed`."""
 COMPLETE, FETCHED, NOT_SENT, FAILED = range(4)
-"""Result of a cycle: complete; not, or not yet, a complete cycle in the frames read; nothing was sent; a socket
-failed."""
+"""Result of a cycle: all inputs received; frames read, but inputs missing; no frame could be sent; a socket failed."""
 _POLLIN: Final = 1 << 32
 _EAGAIN: Final = 11
 

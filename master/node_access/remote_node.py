@@ -280,7 +280,7 @@ class NodeAccess:
     # ---- NMT ----
 
     def nmt_state(self) -> str | None:
-        """Return the NMT state of the last heartbeat, of one within 1.2 s, or by node guarding; else None."""
+        """Return the NMT state by a heartbeat received before or within 1.2 s, else by node guarding; else None."""
         if self.node_id not in self.link.beats:
             for message in self.link.listen(LISTEN_NS):
                 if message.arbitration_id == HEARTBEAT_BASE + self.node_id:

@@ -73,7 +73,7 @@ class Emergency(Part):
         self._send(code, vendor)
 
     def clear(self, code: int, source: int | None = None) -> None:
-        """Report that error `code` is gone (of every source where none is named); what remains is in the register."""
+        """Report the end of error `code`, of `source` or of all sources; 0x1001 still shows the errors that remain."""
         gone = [at for at in self._active if at[0] == code and source in (None, at[1])]
         if not gone:
             return

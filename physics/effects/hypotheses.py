@@ -28,8 +28,7 @@ class Direction(NamedTuple):
 
 
 class Variant(NamedTuple):
-    """Parameters that a variant of an effect frees; `at`: constants with fixed values, set before anything is fitted.
-    """
+    """Variant of an effect: the `directions` to fit, and in `at` the values of constants that are fixed before."""
 
     directions: tuple[Direction, ...]
     at: Mapping[str, float]

@@ -81,7 +81,7 @@ class ConstantTable:
         return low, high, min(SOFTENED * row.session_sd, 0.1 * (high - low)) if row.session_sd else 0.0
 
     def _before(self, row: ModelConstant, value: float) -> float:
-        """Return the coordinate that `_bent` softens to `value` near a bound."""
+        """Return the coordinate of `value`: the inverse of `_bent`, which saturates smoothly at the bounds."""
         low, high, width = self._limits(row)
         if width == 0.0 or low + width <= value <= high - width:
             return value

@@ -33,7 +33,7 @@ def tensions(m: Any) -> None:
 
 @njit(inline="always")
 def slide(m: Any, first: int, last: int, surface: float, dt: float) -> float:
-    """Move nodes first…last−1 by `dt` over a surface at velocity `surface`; return the force on it, N."""
+    """Integrate rope nodes first…last−1 over `dt`, s, on a surface at `surface`, m/s; return the force on it, N."""
     x, v, s, t = SLOT.x, SLOT.v, SLOT.s, SLOT.tension
     light = m[SLOT.slack_drag]
     total = 0.0

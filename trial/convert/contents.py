@@ -82,7 +82,7 @@ def contents(path: Path) -> Contents:
 
 
 class StepHistogram:
-    """Steps between the times (ns) of a stream that come in parts: counts of steps, alike to 0.1 %, in fixed memory."""
+    """Histogram of the steps between a stream's times, ns, in bins 0.1 % wide: fixed memory at any length."""
 
     def __init__(self) -> None:
         self.messages = 0

@@ -21,7 +21,7 @@ from trial.read import ROWS_AT_ONCE, TrialFile
 from trial.record import Progress, silent
 
 Writer = Callable[[TrialFile, Path, Progress], int | None]
-"""Writes a table of all cycles, or frames, whose number it returns."""
+"""Function that writes a trial's cycles and returns None, or its frames and returns their number."""
 BLOCKS_IN_GROUP = 4  # of a Parquet file: with one block a group it is half as large again
 PYTHON_CAN = (".asc", ".blf", ".trc")
 

@@ -254,7 +254,7 @@ def take(m: Any, t: Any, n: int) -> Any:
 
 @njit
 def hear(m: Any, t: Any, now: int, can_id: int, data: int) -> bool:
-    """Pass a frame to every RPDO with its identifier; False if the effect is more than a new set-point."""
+    """Pass a frame to every RPDO with its identifier; False if compiled code cannot handle its effect."""
     for n in range(t.takes):
         pdo, took = t.take[n], m.took[n]
         if pdo.can_id == can_id:

@@ -69,7 +69,7 @@ class MachineState(NamedTuple):
 
 
 BRIDGES = {"broken_wire": (0, 1), "overload": ((1 << 23) - 1, 0)}
-"""Fault of a sensor's bridge → the converter's counts and status (bit 0: broken wire)."""
+"""Counts and status (bit 0: broken wire) of the converter by fault of a load cell's bridge."""
 
 
 class SwitchedPlant(Plant, Protocol):

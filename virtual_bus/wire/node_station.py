@@ -105,7 +105,7 @@ class NodeStation(Station):
         self.settle(now_ns)
 
     def confined(self, previous: Confinement, now_ns: int) -> None:
-        """Report bus-off, or its end, to the device."""
+        """Report to the device that its controller has entered or left bus-off."""
         if not self.on:
             return
         if self.state is Confinement.BUS_OFF:

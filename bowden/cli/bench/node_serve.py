@@ -26,7 +26,7 @@ with on_first_use():
     from nodes import Application, GenericDrive, IoModule
 
 FAULTS = {"drop": None, "delay": "ms", "corrupt": "bit", "duplicate": None, "shorten": "size"}
-"""Kinds of faults of single frames, each with the key of its number."""
+"""Kinds of faults of `--fault`, each with the key whose number it needs; None: it needs no number."""
 
 
 @node.command()
