@@ -181,11 +181,11 @@ def _regressed(trial: PathRecording) -> tuple[float, float, float] | None:
 PATH_MODEL: Final = PathModel()
 
 
-def usable_table(path: Path, force_path: str | None, remedy: str, motion: Sequence[str] = ()) -> Table:
+def usable_table(path: Path, force_path: str | None, motion: Sequence[str] = ()) -> Table:
     """Read the table of a trial and return it without the columns that a fit cannot use, such as a constant one.
 
     `force_path` selects one path of a bench that has several; columns in `motion` may be constant. Raises `InputError`
-    if columns contradict each other; or if a needed one is missing, with the sentence `remedy`.
+    if columns contradict each other, or if a needed one is missing.
     """
     given = windows.read(path, force_path)
     refused = [f.text for f in (*integrity.examine(given), *scales.contradictions(given)) if f.refuses]
@@ -193,7 +193,8 @@ def usable_table(path: Path, force_path: str | None, remedy: str, motion: Sequen
         raise InputError(refused[0])
     plain = integrity.usable(given, motion)
     if missing := PATH_MODEL.lacking(plain):
-        raise InputError(f"{path}: has no column {', '.join(missing)}; {remedy}.")
+        raise InputError(f"{path}: has no column {', '.join(missing)}; record it, or compare a rig of another kind by "
+                         "bowden diagnose --healthy.")
     return plain
 
 

@@ -258,7 +258,8 @@ class BenchState:
     def sentences(self) -> list[str]:
         """Return what changed, since when and by which evidence, in sentences; the most important one first."""
         if self.verdict == CANNOT:
-            return [f"Cannot tell yet: {len(self.sessions)} sessions are fitted; a change is stated from "
+            fitted = "1 session is" if len(self.sessions) == 1 else f"{len(self.sessions)} sessions are"
+            return [f"Cannot tell yet: {fitted} fitted; a change is stated from "
                     f"{self.needed + 1} on, {self.needed} of them the reference."]
         if self.verdict == UNCHANGED:
             return [f"No change in {len(self.sessions)} sessions beyond their scatter; the first "

@@ -385,6 +385,9 @@ def create(folder: Path, name: str, references: int = REFERENCES, path: str = ""
         try:
             db.execute("PRAGMA journal_mode = WAL")
             _migrate(db, place, {"name": name or folder.name, "references": str(references), "path": path})
+        except sqlite3.Error:
+            place.unlink()
+            raise
         finally:
             db.close()
 

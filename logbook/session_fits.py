@@ -14,6 +14,7 @@ from estimation.stored_fit import decoded, encoded
 from logbook.bench_state import CONSTANTS
 from logbook.database import UNFITTED, Logbook, ReferenceModel
 from parameters import InputError
+from trial.read import open_file, path_names
 
 MOST_REFERENCES: Final = 4
 """Trials of the reference fit, and of the reference of a diagnosis: each costs seconds, and more add less than sessions
@@ -107,4 +108,7 @@ def recording_of(path: Path, outcome: str | None, force_path: str) -> Recording:
         raise InputError(f"{path}: the trial is {outcome}; only completed trials are fitted.")
     if not path.exists():
         raise InputError(f"{path}: no such file; put it back, or add it again from where it is now.")
-    return PATH_MODEL.record(usable_table(path, force_path or None, "record it"))
+    if not force_path and path.suffix.lower() == ".mcap" and (names := path_names(open_file(path))):
+        raise InputError(f"{path}: records the force paths {', '.join(names)}, and a logbook follows one; say bowden "
+                         f"logbook init DIR --path {names[0]}, and add it there.")
+    return PATH_MODEL.record(usable_table(path, force_path or None))

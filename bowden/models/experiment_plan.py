@@ -134,8 +134,9 @@ def of_trials(trials: Sequence[Path], healthy: Sequence[Path], session_sd: Mappi
     """Plan for trials of one session against reference trials; `path`: the force path of several.  Raises `InputError`.
     """
     if not healthy:
-        raise InputError("no reference trial; name at least one with --healthy, or a --logbook.")
-    given, known = ([usable_table(file, path, "record it", MOTION) for file in group] for group in (trials, healthy))
+        raise InputError("no reference trial beside the trials themselves; name another one with --healthy, or a "
+                         "--logbook.")
+    given, known = ([usable_table(file, path, MOTION) for file in group] for group in (trials, healthy))
     return _planned(given, known, session_sd)
 
 

@@ -310,6 +310,8 @@ def perform(
     compile_laws(simulated=simulated, progress=progress)
     planned = prepared.planned()
     with ExitStack() as after, opened(prepared.chosen, network, truth=truth) as bus:
+        if truth is not None:
+            after.callback(truth.unlink, missing_ok=True)  # a trial that does not begin leaves no file
         monitor_program.refuse_other(bus.tap, bus.clock, network.monitor)
         # a logbook orders the sessions of a simulated bench by their days, others by the dates of recording
         day = {"day": str(prepared.chosen.arguments["day"])} if simulated else {}
@@ -321,6 +323,7 @@ def perform(
                                          **prepared.files},
                             threaded=not simulated, overwrite=overwrite,
                             signals=(signals := of_bench(network.bench, prepared.own_signals)))
+        after.pop_all()
         began = time.perf_counter()
         if announce:
             progress.remark(f"{announce} {planned.pulls}")

@@ -92,7 +92,7 @@ class SignalRecording:
                                             name=f"{_name(self._reader.plans[cob_id])}.{one.name}")
                              for i, one in enumerate(placed(self._reader, cob_id))])
             with replaced(path, overwrite=overwrite) as part:
-                Path(file.save(part.with_name(f"{part.name}.mf4"), overwrite=True)).replace(part)
+                file.save(part, overwrite=True)
         return sum(map(len, rows.values()))
 
 

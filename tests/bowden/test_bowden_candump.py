@@ -111,6 +111,7 @@ def test_the_log_of_another_bench_is_imported_by_its_declaration(bowden: Run, he
     assert names <= set(imported.columns)
 
 
+@pytest.mark.slow
 def test_a_bench_is_fitted_from_its_imported_log(bowden: Run, here: Path) -> None:
     """The log ends between a SYNC and the targets that answer it: the last row has no target."""
     assert bowden("trial", "--cycles", 3, "--settle", 0, "--period", 1, "-o", "a.mcap").status == 0

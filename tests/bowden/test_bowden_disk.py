@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import can
@@ -68,3 +70,42 @@ def test_a_side_file_without_room_ends_and_the_bench_goes_on(tmp_path: Path) -> 
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert truth.stat().st_size <= limit
     assert recover(truth, tmp_path / "whole.mcap").damaged == 0
+
+
+@pytest.fixture
+def full(tmp_path: Path) -> Iterator[Path]:
+    """A folder on a disk of 64 kB that has no room left; only root can mount one."""
+    if os.geteuid() or subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", tmp_path], check=False,
+                                      capture_output=True).returncode:
+        pytest.skip("mounting a small disk needs root")
+    (tmp_path / "other").write_bytes(bytes(60_000))
+    yield tmp_path
+    subprocess.run(["umount", "--lazy", tmp_path], check=True)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a.mcap, a trial, and a.log, its frames."""
+    from bowden.cli.app import run
+
+    folder = tmp_path_factory.mktemp("recorded")
+    assert run(["trial", "--cycles", "1", "--settle", "0", "--period", "1", "-o", f"{folder / 'a.mcap'}"]) == 0
+    assert run(["export", f"{folder / 'a.mcap'}", "-o", f"{folder / 'a.log'}"]) == 0
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [
+    "trial --cycles 1 --settle 0 --period 1 -o FULL/x.mcap", "report a.mcap -o FULL/x.html",
+    "export a.mcap -o FULL/x.csv", "export a.mcap -o FULL/x.xlsx", "export a.mcap -o FULL/x.mf4",
+    "export a.mcap -o FULL/x.log", "import a.log -o FULL/y.mcap", "recover a.mcap -o FULL/r.mcap",
+    "cut a.mcap --from 0.5 --to 2 -o FULL/c.mcap", "monitor a.log --table --mf4 FULL/x.mf4", "logbook init FULL/book"])
+def test_a_full_disk_is_one_sentence_and_leaves_nothing_that_blocks_the_next_try(
+        full: Path, recorded: Path, command: str) -> None:
+    words = [sys.executable, "-c", "from bowden.cli import main; main()", *command.replace("FULL", str(full)).split()]
+    told = subprocess.run(words, cwd=recorded, capture_output=True, text=True, check=False)
+    assert (told.returncode, told.stdout) == (2, ""), told
+    sentences = [line for line in told.stderr.splitlines() if "SIMULATED" not in line]
+    assert len(sentences) == 1, told.stderr
+    assert "No space left on device" in sentences[0] or "disk is full" in sentences[0]
+    assert [path.name for path in full.rglob("*") if path.is_file()] == ["other"]

@@ -156,6 +156,7 @@ def test_lab_data_without_what_a_fit_needs_are_kept_with_the_reason(here: Path, 
     added = told(bowden, "logbook", "add", "book", "lab.csv", "--session", "monday")["added"][0]
     assert not added["estimated"]
     assert added["remark"].startswith("has no column servo_position_m"), "the path stands beside it"
+    assert added["remark"].endswith("or compare a rig of another kind by bowden diagnose --healthy.")
     status, out, _ = bowden("logbook", "show", "book", "--trial", 1)
     assert (status, out.count("lab.csv"), "s recorded; not fitted: has no column" in out) == (0, 1, True), out
     assert re.search(r"[{}]|\d\.\d{4}", out) is None, out

@@ -64,6 +64,7 @@ def test_an_ambiguous_trial_gets_an_experiment_and_none_twice(tmp_path: Path, bo
     (("plan",), "bowden plan TRIAL… | --logbook DIR | --model FILE"),
     (("plan", "x.mcap", "--model", "m.toml"), "leave trials, --healthy, --logbook and --path out"),
     (("plan", "--model", "m.toml"), "states no effect"),
+    (("plan", "x.mcap", "--healthy", "x.mcap"), "no reference trial beside the trials themselves"),
     (("plan", "--logbook", "none"), "holds no logbook"),
     (("plan", "--logbook", "book"), "no reference session"),
 ], ids=lambda given: " ".join(given) if isinstance(given, tuple) else "")

@@ -42,6 +42,12 @@ def watched(bowden: Callable[..., Any], place: Path, name: str, *words: object) 
     return status, found
 
 
+def test_a_refused_whole_has_its_reason(place: Path, bowden: Callable[..., Any]) -> None:
+    status, out, _ = bowden("watch", place / "good.mcap", "--healthy", place / "good.mcap")
+    assert (status, out.splitlines()[-2]) == (0, "Verdict: refused")
+    assert out.splitlines()[-1].endswith("; a healthy trial must be another one.")
+
+
 @pytest.mark.exhaustive
 @pytest.mark.xfail(strict=True, reason="dated to the fourth cycle since decision 50; it acts from the first")
 def test_the_diagnosis_after_the_last_cycle_is_that_of_the_file(place: Path, bowden: Callable[..., Any]) -> None:

@@ -94,10 +94,14 @@ def test_a_path_has_its_report(ran: Path, recorded: Trial, bowden: Command) -> N
 
 def test_a_path_must_be_named(ran: Path, recorded: Trial, bowden: Command) -> None:
     one, other = path_names(recorded)
-    for command in (("diagnose",), ("replay", "--onto", "controller")):
+    for command in (("diagnose",), ("simulate",), ("replay", "--onto", "controller")):
         status, out, err = bowden(command[0], ran / "trial.mcap", *command[1:])
         assert (status, out) == (2, "")
         assert f"records the force paths {one}, {other}; name one with --path" in err
+    assert bowden("simulate", ran / "trial.mcap", "--path", other)[0] == 0
+    assert bowden("logbook", "init", ran / "book")[0] == 0
+    assert f"a logbook follows one; say bowden logbook init DIR --path {one}" in bowden(
+        "logbook", "add", ran / "book", ran / "trial.mcap")[1]
     status, _, err = bowden("report", ran / "trial.mcap", "--path", "middle", "-o", ran / "none.html")
     assert status == 2
     assert f"has no path middle; expected one of {one}, {other}" in err

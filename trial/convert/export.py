@@ -5,6 +5,7 @@ left out, an unknown value is an empty cell, and every number reads back as the 
 """
 
 import gzip
+import io
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -129,8 +130,9 @@ def _excel(trial: TrialFile, part: Path, progress: Progress) -> None:
     sheet.append([trial.units[name] for name in names])
     for row in _rows(trial, names, progress):
         sheet.append([None if value != value else value for value in row])
-    with part.open("wb") as file:
-        book.save(file)
+    whole = io.BytesIO()
+    book.save(whole)  # a zip file whose disk is full prints a traceback when it is collected
+    part.write_bytes(whole.getbuffer())
 
 
 def _tdms(trial: TrialFile, part: Path, progress: Progress) -> None:
@@ -157,8 +159,7 @@ def _mdf(trial: TrialFile, part: Path, progress: Progress) -> None:
             else:
                 file.append([asammdf.Signal(columns[name], columns["time_s"], name=name, unit=trial.units[name])
                              for name in others])
-        saved = file.save(part.with_name(f"{part.name}.mf4"), overwrite=True)
-    Path(saved).replace(part)
+        file.save(part, overwrite=True)
     progress(1.0)
 
 

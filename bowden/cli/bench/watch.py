@@ -189,8 +189,11 @@ def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float 
 def _answer(result: dict[str, Any], *, failed: bool = False) -> CommandAnswer:
     """Return the diagnosis of the whole; status 1 where the file was not closed or not diagnosed, or the bus failed."""
     found = result["diagnosis"]
-    if found is None and not terminal.quiet():
-        terminal.remark(f"{result['trial']}: no diagnosis of the whole: "
-                        f"{result.get('remark') or 'the file is not closed yet.'}")
-    return CommandAnswer(result, "" if found is None else f"Verdict: {found['verdict']}" + (
-        f": {', '.join(found['class'])}" if found["class"] else ""), int(failed or found is None))
+    if found is None:
+        if not terminal.quiet():
+            terminal.remark(f"{result['trial']}: no diagnosis of the whole: "
+                            f"{result.get('remark') or 'the file is not closed yet.'}")
+        return CommandAnswer(result, "", 1)
+    named = f": {', '.join(found['class'])}" if found["class"] else ""
+    refused = found["warnings"] if found["verdict"] == "refused" else []
+    return CommandAnswer(result, [f"Verdict: {found['verdict']}{named}", *refused], int(failed))

@@ -36,7 +36,7 @@ Output = Annotated[Path | None, new_file("CSV of measured and simulated tensions
 
 @app.command()
 def simulate(
-    trial: Trial, model: Model = None, output: Output = None,
+    trial: Trial, model: Model = None, output: Output = None, path: options.ForcePath = None,
 ) -> CommandAnswer:
     """Simulate a bench under a trial's measured motion.
 
@@ -45,7 +45,7 @@ def simulate(
     Example: bowden simulate trial.mcap --model model.toml
     """
     used = bench_model.BenchModel() if model is None else bench_model.read(model)
-    given = table.read(trial)
+    given = table.read(trial, path)
     with terminal.waiting("simulating"):
         told = simulation.simulate(bench_fit.as_fitted(given, used), used.simulation_values())
     if output is not None:
