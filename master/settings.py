@@ -35,7 +35,7 @@ class Gait:
 
 @dataclass(frozen=True)
 class Walk:
-    """Strides that differ, in place of one that repeats: how they are drawn, and whose phase the force follows."""
+    """Settings of a gait with varied strides: how strides are drawn, and which phase the desired force follows."""
 
     strides: int = parameter(0, "", "strides of --knee to play in random order; 0: its first one repeats",
                              low=0, high=10_000, source="docs/walking.md")

@@ -101,16 +101,6 @@ class ScalarEvidence:
     trial: str = ""
     repeatability: float = math.nan
 
-    def interval(self, value: float) -> tuple[float, float]:
-        """Return the 95 % interval of the true value, whatever `value` is."""
-        del value
-        return self.low, self.high
-
-    def again(self, value: float) -> tuple[float, float]:
-        """Return the interval of a repeated identification about `value`: its repeatability, else its 95 % interval."""
-        by = self.repeatability
-        return (value - by, value + by) if math.isfinite(by) else (self.low, self.high)
-
 
 @dataclass(frozen=True)
 class Calibration:

@@ -65,7 +65,7 @@ class EndDiscrepancy(NamedTuple):
 
 @njit(cache=True)
 def turned(slips: Any, moved: float, on_knee: float, rope_travel: float, fabric_travel: float) -> Any:
-    """Return the further slip states after a travel in the sheath and one on the knee, m."""
+    """Return the eight pre-sliding states `slips` after travels of `moved` in the sheath and `on_knee`, m."""
     rope, fabric = max(rope_travel, LEAST_TRAVEL_M), max(fabric_travel, LEAST_TRAVEL_M)
     return (presliding(slips[0], moved, SCALES[0] * rope), presliding(slips[1], moved, SCALES[1] * rope),
             presliding(slips[2], moved, SCALES[2] * rope), presliding(slips[3], moved, SCALES[3] * rope),

@@ -21,7 +21,7 @@ FORCE_N, FORCE_SHARE = 0.5, 0.03
 resolution of a spring scale; 3 % are 1.2 N of a 40 N trial, a fifth of what friction leaves open between START and
 END. A wider tolerance lets END exceed its desired force unseen."""
 LEAST_N: Final = 10.0
-"""Least weight of a check: below it the 0.5 N hide a gain that is 5 % off."""
+"""Least weight of a check, N. With a smaller one a gain that is 5 % wrong passes within `FORCE_N`."""
 ANGLE_RAD: Final = math.radians(3.0)
 """Deviation of the knee's angle that passes: 3 degrees, the reading error of a universal goniometer at a knee."""
 SPAN_RAD: Final = math.radians(40.0)

@@ -245,7 +245,7 @@ def steady(given: str | Sequence[str]) -> frozenset[str]:
 
 
 def trimmed(wire: eds.WireLayout, node_id: int, gains: Mapping[str, float]) -> eds.WireLayout:
-    """Return the wire with a trimmed servo: the loop's gains in its dictionary, scaled alike."""
+    """Return the wire with all loop gains of a servo scaled by the ratio of `gains` to the packaged position gain."""
     servo = wire.nodes[node_id]
     ratio = gains["position_gain"] / SERVO_GAINS.position_gain
     entries = dict(servo.dictionary.entries)

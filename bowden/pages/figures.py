@@ -106,7 +106,7 @@ def _with_force(
     experiment: ExperimentSetup, result: Result, wall_s: float, force: Mapping[str, Any], *, serial: int | None,
     simulated: bool,
 ) -> dict[str, Any]:
-    """Return the figures of a run without a recording, those of `force` among them, in the order of `figures`."""
+    """Return the figures of a run from its result and its force figures `force`, with the keys of `figures`."""
     gait, network = experiment.gait, experiment.network
     return {
         "trial": None, "peak_n": gait.peak_n, "period_s": gait.period_s, "cycles": gait.cycles,

@@ -359,9 +359,10 @@ class Implausibility(NamedTuple):
 
 @dataclass
 class HomingBaseline:
-    """Results of homing for this bench's plausibility checks.
+    """Results of homing that the plausibility checks start from.
 
-    `stretch_ratio`: its stretch from a quarter of `top_n`, N, to there by the calibration's; NaN without END.
+    `stretch_ratio`: measured stretch between a quarter of `top_n` and `top_n`, N, divided by the calibration's; NaN
+    without END.
     """
 
     force_rms_n: float

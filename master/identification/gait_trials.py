@@ -33,7 +33,7 @@ from physics.reference import Reference, paper_reference
 GAITS: Final = ((36.0, 1.6), (62.0, 1.2))
 """Peak, N, and period, s, of each trial: below and above 40…60 N, and about as fast as 60 N at 1.1 s."""
 CYCLES: Final = 2
-"""Gait cycles of each trial: a third would be held against the second, and learning moves it."""
+"""Gait cycles of each trial. The repetition check would compare a third with the second, and learning changes it."""
 WITHIN: Final = 0.9
 """Share of a limit, and of the turning point of (10), that a trial stays within."""
 Record = Callable[[Any, str, Callable[[], object]], Segment]

@@ -153,10 +153,10 @@ def walk(
     link: Link, tap: can.BusABC | None, recorder: CycleSink | None, identification: Identification,
     calibrations: Mapping[str, Calibration], progress: Progress = lambda what, share: None,
 ) -> tuple[str | None, dict[str, list[Segment]]]:
-    """Run the gait trials with the identified calibrations; return the cause of a stop, if any, and their segments.
+    """Run the gait trials of an identification; return the cause of a stop, None if completed, and their segments.
 
-    Both are by force path.  The controller has no discrepancy of an earlier identification: the new one replaces it,
-    and is not added to it.
+    `calibrations` and segments are by force path. The controller runs without an earlier discrepancy, which the new
+    one replaces.
     """
     known = {name: dataclasses.replace(one, discrepancy=None) for name, one in calibrations.items()}
     segments: dict[str, list[Segment]] = {name: [] for name in known}

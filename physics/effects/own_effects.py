@@ -47,7 +47,7 @@ class OwnEffect:
 
     @property
     def function(self) -> Modulation:
-        """The modulation of the constant."""
+        """Function by which the effect changes its constant, of load, motion, angle or time."""
         return modulation_of(self.modulation, self.expression, self.shape)
 
     def term(self, values: Mapping[str, Mapping[str, float]]) -> Term:

@@ -75,7 +75,7 @@ class ConstantTable:
         return np.asarray(out)
 
     def _limits(self, row: ModelConstant) -> tuple[float, float, float]:
-        """Return the bounds of a coordinate, or of a linear value, and the range before them in which it bends."""
+        """Return lower and upper bound of a coordinate, and the width in which `_bent` rounds each."""
         most = LARGEST.get(row.form, np.inf)
         low, high = self.bounds.get(row.name, (-most, most))
         return low, high, min(SOFTENED * row.session_sd, 0.1 * (high - low)) if row.session_sd else 0.0

@@ -54,7 +54,7 @@ STRETCH_M: Final = 0.01
 """Stretch, m, at which `stiffness` is the force of the linear term: the paper's stretch at 40 N."""
 PROMPT_S: Final = 0.08
 SLOW_S: Final = 1.0
-"""Time constants, s, of the two standing retarded compliances: within and beyond one loading of a gait cycle."""
+"""Time constants, s, of the two creep elements that every bench has: shorter and longer than one loading of a gait."""
 GREASE_N: Final = 10.0
 """Tension, N, at which half the viscous friction acts (`viscous_tension` of the parameter table)."""
 LIGHT: Final = 0.3
@@ -66,7 +66,8 @@ SOFT: Final = 2e-3
 """Transition in stretch that corresponds to `STRETCH_M`."""
 NEAR: Final = 1.0 / 0.4
 FAR: Final = 1.0 / 2.2
-"""Reciprocals of the pre-sliding distances of the first and third friction element of a node, in the second one's."""
+"""A node has three friction elements in parallel. The first and third slide after 0.4 and 2.2 times the distance of the
+second; these are the reciprocals."""
 ROUNDS: Final = 40
 """Most Newton steps in a time step; a step that does not reduce the residual is shortened."""
 CLOSE_N: Final = 1e-7

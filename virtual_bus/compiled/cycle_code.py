@@ -32,7 +32,7 @@ NODES: Final = AXES + GAUGES
 """Two drives, servo and knee, then two tension sensors: their places in the tables."""
 SENDS: Final = 6
 TAKES: Final = 8
-"""Capacity of the tables: TPDOs, and RPDOs reached by a cycle's frames."""
+"""Largest number of TPDOs sent at a SYNC, and of RPDOs that receive a frame of the cycle."""
 FIELDS: Final = 4
 """Greatest number of fields in a TPDO."""
 ROWS: Final = 32
@@ -140,7 +140,7 @@ STATE, TABLE = np.dtype(CycleState), np.dtype(CycleTable)
 STATUS_SOURCE: Final = axis_law.COUNTS - 1
 """Index of the statusword among an axis' counts."""
 FROM_TARGETS, FROM_SYNC, FROM_OWN, FROM_NODE = -1, -2, -3, -4
-"""Senders: the master's targets, SYNC, the master's heartbeat; from `FROM_NODE` down, nodes' heartbeats."""
+"""Marks of a frame's origin: master's targets, SYNC, master's heartbeat; `FROM_NODE` − n: heartbeat of node place n."""
 NEVER: Final = 1 << 62
 
 DONE, UNKNOWN, LATE = 1, 0, -1

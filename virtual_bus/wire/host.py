@@ -59,7 +59,7 @@ def message_of(frame: Frame, time_ns: int, received: bool, channel: str) -> Bowd
 
 
 class Socket:
-    """One program's end: a finite receive queue behind filters; `lost` counts what found it full."""
+    """Receive queue of one program on the bus, with its filters; `lost` counts messages that came while it was full."""
 
     __slots__ = ("filters", "limit", "lost", "own", "queue")
 
