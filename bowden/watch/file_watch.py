@@ -173,7 +173,7 @@ class FileWatch:
 
     def __init__(self, path: Path, bench: WatchedBench, *, replaced: bool = False) -> None:
         self._bench, self._file = bench, GrowingTrial(path, replaced=replaced)
-        self._tables = [usable_table(path, bench.path, "give reference trials that have") for path in bench.healthy]
+        self._tables = [usable_table(path, bench.path) for path in bench.healthy]
         self._windows: GaitWindows | None = None
         self._evidence: dict[tuple[str, ...], RunningEvidence] = {}
         self._of(tuple(n for n in SIGNALS if all(n in t for t in self._tables)))

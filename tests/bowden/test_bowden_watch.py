@@ -176,10 +176,12 @@ def test_cycles_of_a_bus_without_numbers_are_cut_by_the_period() -> None:
     (("watch", "x.mcap"), "name at least one with --healthy"),
     (("watch", "x.csv", "--healthy", "x.mcap"), "say bowden diagnose x.csv, or make a trial of it with bowden import"),
     (("watch", "--healthy", "x.mcap"), "give either a file or --interface"),
+    (("watch", "y.mcap", "--healthy", "rig.csv"), "rig.csv: has no column servo_position_m, knee_angle_rad; record it"),
     (("watch", "--interface", "virtual", "--healthy", "x.mcap"), "name the file with -o FILE"),
 ], ids=lambda given: " ".join(given) if isinstance(given, tuple) else "")
 def test_a_watch_that_cannot_watch_is_refused_in_one_sentence(here: Path, bowden: Callable[..., Any],
                                                               words: tuple[str, ...], said: str) -> None:
+    (here / "rig.csv").write_text("time_s,tension_start_n\n" + "".join(f"{k / 100},{k % 7}\n" for k in range(200)))
     status, out, err = bowden(*words)
     assert (status, out) == (2, "")
     assert said in err
