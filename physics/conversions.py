@@ -69,7 +69,7 @@ UNRELATED: Final = (
 """Quantities of the simulation, from those that a fit of it estimates."""
 MEASURABLE: Final = frozenset(name for form in MEASURED for name in form.of) | (
     CALIBRATED - {form.name for form in MEASURED})
-"""Quantities that follow from the scalars of a calibration."""
+"""Simulation parameters that a calibration determines, directly or by a conversion of `MEASURED`."""
 
 
 UNTOLD: Final = frozenset({"theta1", "stretch_a", "stretch_b", "sheath_compliance"})

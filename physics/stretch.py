@@ -34,7 +34,10 @@ _WIDE: Final = _nearest(WIDE_N)
 
 
 def coefficients(of: Any) -> tuple[float, float, float]:
-    """Return (constant m, quadratic m/N², linear m/N) beside s1·8 N·(1 − e^(−F/8 N)) + s2·30 N·(1 − e^(−F/30 N))."""
+    """Return constant, m, quadratic, m/N², and linear coefficient, m/N, of the polynomial part of the stretch.
+
+    The other part saturates: s1·8 N·(1 − e^(−F/8 N)) + s2·30 N·(1 − e^(−F/30 N)).
+    """
     short, wide = of.stretch_short, of.stretch_wide
     quadratic, linear, constant = (
         own - short * by_short - wide * by_wide

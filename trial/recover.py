@@ -185,7 +185,7 @@ def walk(view: mmap.mmap, skipped: list[int]) -> Iterator[tuple[int, int, int]]:
 
 
 def begins(view: mmap.mmap, at: int) -> bool:
-    """Return whether a record may begin here, or the file end."""
+    """Return whether the bytes at `at` can be the head of a record, or the end of the file."""
     head = view[at:at + 9]
     if len(head) < 9:
         return head in (b"", mcap.MAGIC)

@@ -136,9 +136,9 @@ class ExtendedConfig:
 
 def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedance: Impedance,
               migration: tuple[float, float] = (0.0, 0.0)) -> ExtendedConfig:
-    """Fold the constants from a calibration, what homing found of the day, the gait and the impedance.
+    """Compute the controller's constants once, from calibration, the session's homing fit, gait and impedance.
 
-    `migration`: shift of the rope's zero that is followed from one gait cycle to the next, and in all, m.
+    `migration`: largest shift of the rope's zero that is followed, m: from one gait cycle to the next, and in total.
     """
     decay = math.exp(-impedance.stiffness_n_m / impedance.damping_n_s_m * gait.period_s)
     lag = 1.0 / (2.0 * math.pi * calibration.servo_bandwidth) / gait.period_s

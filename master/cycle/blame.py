@@ -102,7 +102,7 @@ def _both_off(finding: Implausibility) -> bool:
 
 
 def suspected(finding: Implausibility) -> Suspect:
-    """The suspect whose pattern is nearest to the normalised residuals, clipped at the tolerance."""
+    """Return the suspect whose pattern of disturbed relations is nearest to the residuals over their tolerances."""
     def distance(suspect: Suspect) -> float:
         told = 0.0
         for relation in _TENSIONS:

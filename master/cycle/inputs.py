@@ -16,7 +16,7 @@ SERVO, KNEE, START, END = range(4)
 
 
 def places(wire: WireLayout) -> tuple[int, ...]:
-    """Return the node ids of a force path's devices by their places; END's is left out on a path without END."""
+    """Return the node ids of a force path: servo, knee, START and, if the path has that load cell, END."""
     return tuple(node for node in wire.path if node)
 
 

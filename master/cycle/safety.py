@@ -62,8 +62,8 @@ _UNWIND, _RELEASE = Reaction.UNWIND, Reaction.RELEASE
 NOBODY: Final = -1
 """Number of a condition that names no device."""
 _BY_PLACE: Final = {SERVO: _RELEASE, KNEE: Reaction.RELEASE_BOTH, START: _RELEASE, END: _UNWIND, NOBODY: _UNWIND}
-"""Reaction by the named device: without START no signal shows when the rope is slack; without the servo nothing can
-unwind it; a knee drive that is named can neither brake nor hold by its own angle."""
+"""Reaction by the device that a condition names as faulty. Without START no signal shows when the rope is slack;
+without the servo nothing can unwind it; a faulty knee drive can neither brake nor hold by its own angle."""
 _OTHERWISE: Final = {
     # START is above its limit but believed: it shows when the rope is slack
     (Condition.START_LIMIT, START): _UNWIND,

@@ -96,7 +96,7 @@ class LssMaster:
         return [address for address in found if self._confirmed(address)]
 
     def _confirmed(self, address: LssAddress) -> bool:
-        """Return whether the slave that an identity selects has it; alone in configuration, for answers collide."""
+        """Return whether the slave selected by an identity reports it; alone, since several answers collide."""
         try:
             if self.select(address) and self._inquired() == address:
                 return True

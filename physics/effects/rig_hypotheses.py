@@ -118,7 +118,7 @@ STRETCH_M_PER_N: Final = 3e-4
 
 
 def give_hypotheses() -> dict[str, Hypothesis]:
-    """Return the effects of the compliance between a cable's ends, which the angle at its end shows."""
+    """Return the effect that changes the compliance of a rig's cable, observed by the angle at its END."""
     return {"stiffness": Hypothesis(ELASTICITY, lambda v: (Variant((Direction({"give": v["give"]}, 0.3),), {}),), {
         "stiffness_scale": lambda v, b: b["give"] / v["give"] if v["give"] else 1.0})}
 

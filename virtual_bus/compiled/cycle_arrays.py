@@ -104,7 +104,7 @@ class Arrays:
     # ---- in ----
 
     def tables(self, asked: CycleRequest) -> Tables | None:
-        """Return the rows of all PDOs in a cycle; None where one has none, or nodes send other ones than asked for."""
+        """Return the table rows of all PDOs of a cycle; None if one cannot be compiled or others are sent."""
         sent: list[law.TpdoRecord | None] = []
         receivers: list[tuple[int, int, ReceivePdo]] = []
         sizes, cyclic = {asked.targets_id: asked.size}, {asked.targets_id, *asked.inputs}

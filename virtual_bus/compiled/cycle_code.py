@@ -94,13 +94,13 @@ class NodeState(Structure):
 
 
 class NodeTable(Structure):
-    """A node's heartbeat: identifier, data, period; and after how long it misses the master's (0: never)."""
+    """Heartbeats of a node: identifier, data and period of its own, and time limit for the master's (0: none)."""
 
     _fields_ = _integers("can_id data period timeout")
 
 
 class CycleState(Structure):
-    """Numbers that a cycle changes."""
+    """State of bench, wire and master that a compiled cycle changes; restored if the cycle is given up."""
 
     _fields_ = [
         *_integers(

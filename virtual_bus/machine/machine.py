@@ -21,7 +21,7 @@ from virtual_bus.wire.node_station import NodeStation
 
 
 class MountedDrive(NamedTuple):
-    """A drive on the bench."""
+    """Drive of the simulated bench, with its CAN controller."""
 
     station: NodeStation
     drive: Drive
