@@ -60,7 +60,8 @@ def _zero(column: Callable[[str], Array], progress: Array) -> Array:
     """Return a sensor's zero over a trial from its constants: offset, drift and wander, shape (sets, samples)."""
     sizes = [column("offset"), column("drift"), *(column(f"wander{k}") for k in range(1, WANDER + 1))]
     waves = np.sin(math.pi * np.arange(1, WANDER + 1)[:, None] * progress)
-    return np.concatenate(sizes, axis=1) @ np.concatenate([np.ones((1, progress.size)), progress[None], waves])
+    courses = np.concatenate([np.ones((1, progress.size)), progress[None], waves])
+    return np.asarray(np.concatenate(sizes, axis=1) @ courses)
 
 
 def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
