@@ -12,7 +12,7 @@ from diagnosis.report.headline import healthy_value
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
 from trial.report.page import Cell, NamedText, Page
-from trial.report.words import words
+from trial.report.words import quantities, words
 
 
 def errors(page: Page, found: Findings) -> None:
@@ -74,8 +74,12 @@ def ranking(page: Page, found: Findings) -> None:
         for name, gain in evidence["log_bayes_factors"].items()])
     page.heading("Constants of the model: in the reference condition, and in this trial")
     page.table(("constant", "unit", "reference", "trial", "95 % low", "high", "change (session σ)"), [
-        (NamedText(words(name), name), row["unit"], row["from"], row["to"], row["low"], row["high"], row["sessions"])
-        for name, row in evidence["shifts"].items()], tall=True)
+        _constant(name, row) for name, row in evidence["shifts"].items()], tall=True)
+
+
+def _constant(name: str, row: Mapping[str, Any]) -> tuple[Cell, ...]:
+    texts, unit = quantities([row[key] for key in ("from", "to", "low", "high")], row["unit"])
+    return NamedText(words(name), name), unit, *texts, row["sessions"]
 
 
 def _judged(found: Findings, name: str) -> str:

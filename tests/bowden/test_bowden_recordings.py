@@ -181,6 +181,7 @@ def test_compare_writes_both_trials_into_one_page_and_ends_with_1_where_they_dif
     page = (here / "page.html").read_text()
     assert "A: a.mcap · B: b.mcap" in page
     assert all(f"{name}, A − B" in page for name in ("tension_end_n", "desired_force_n", "servo_position_m"))
+    assert re.search(r">END \(measured\)<.*?<td>N</td>", page)
     assert bowden("compare", "a.mcap", "b.mcap", "--report", "a.mcap", "--overwrite")[0] == 2
     assert bowden("compare", "a.mcap", "b.mcap", "--report", "page.pdf")[0] == 2
 

@@ -334,6 +334,9 @@ def test_a_browser_shows_it_with_nothing_fetched(
     assert drawn == browser.run("document.querySelectorAll('.plot[role=img]').length") > 20
     assert browser.run("document.documentElement.scrollWidth <= innerWidth")
     assert browser.run("[...document.querySelectorAll('.wide')].filter(t => t.scrollWidth > t.clientWidth).length") == 0
+    tall = """[...document.querySelectorAll('dd, td, .value')].filter(cell => /^[−\\d.]/.test(cell.textContent)
+        && cell.offsetHeight > Math.max(cell.offsetWidth, 24)).map(cell => cell.textContent)"""
+    assert browser.run(tall) == []
     legends = set(browser.run("[...document.querySelectorAll('.legend')].map(l => l.innerText.trim())"))
     assert "" not in legends
 
@@ -360,6 +363,10 @@ def test_the_page_is_written_whole_and_loads_nothing(found: Findings, measured: 
     assert write(found, [measured], [], path) == path.stat().st_size
     html = path.read_text(encoding="utf-8")
     assert "default-src 'none'" in html
+    moved = {"from": 1.34e-5, "to": 3.67e-5, "low": 3.27e-5, "high": 4.07e-5, "unit": "m/N", "sessions": 3.9}
+    html = build(dataclasses.replace(found, evidence={**found.evidence, "shifts": {"cable_compliance": moved}}),
+                 [measured], []).html()
+    assert re.search(r"cable compliance<.*?<td>µm/N</td>.*?13\.4<.*?36\.7<.*?32\.7<.*?40\.7<", html)
     assert not re.search(r"<(?:script|link|img)[^>]+(?:src|href)=", html)
 
 

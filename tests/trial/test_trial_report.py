@@ -298,3 +298,16 @@ def test_the_summary_has_labels_in_words_and_folds_digests() -> None:
     assert words.shown(told) == {"peak force": "40 N", "my rig": "7", "ended": "completed",
                                   "rope travel to reverse friction at homing": "0.516 mm"}
     assert words.folded(told) == {"commit": "0a1b2c", "course": "ff00", "signal": 0, "day": {"offset_m": 1.0}}
+
+
+def test_an_entry_of_a_result_is_a_text_with_units_and_three_digits() -> None:
+    homed = {"left": {"friction_half_width_m": 0.0005163860578846439, "day": [0.7374133169065539, -0.5]}}
+    assert words.plain("homed", homed) == "left rope travel to reverse friction at homing 0.516 mm; day 0.737, -0.5"
+    assert words.plain("duration_s", 18.878770000000003) == "18.9 s"
+    assert words.quantities([1.3e-5, math.nan, None], "m/N") == (["13", "–", "–"], "µm/N")
+
+
+def test_numbers_as_text_are_aligned_like_numbers() -> None:
+    page = Page("a", "b")
+    page.table(("constant", "reference", "unit"), [("rope", "−1.3", "mm"), ("knee", "–", "°"), ("k", "3.1e−07", "m")])
+    assert page.html().count('<td class="figure">') == 3

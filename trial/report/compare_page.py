@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from trial import metrics
-from trial.compare import FieldDifference, TrialComparison, aligned
+from trial.compare import FieldDifference, SignalDifference, TrialComparison, aligned
 from trial.read import Trial
 from trial.report.overview import BINS, known, setting
-from trial.report.page import Cell, Page, Tile, broken, number, thinned
+from trial.report.page import Cell, NamedText, Page, Tile, broken, number, thinned
 from trial.report.plot import Plot, Series
 from trial.report.sections import FORCE, MOTION
 from trial.report.trial_page import FIGURES, NEEDED
+from trial.report.words import label, plain, quantities, words
 
 A, B = "#1f6fb2", "#d9730d"
 MOST_ROWS = 400
@@ -67,7 +68,8 @@ def _result(page: Page, found: TrialComparison) -> None:
 
 
 def _rows(differences: Sequence[FieldDifference]) -> list[tuple[Cell, ...]]:
-    return [(row.key, *("–" if value is None else str(value)[:300] for value in (row.a, row.b)))
+    return [(NamedText(label(row.key), row.key), *("–" if value is None else str(plain(row.key, value))[:300]
+                                                   for value in (row.a, row.b)))
             for row in differences[:MOST_ROWS]]
 
 
@@ -75,8 +77,7 @@ def _signals(page: Page, a: Trial, b: Trial, found: TrialComparison) -> None:
     page.section("Signals")
     if found.signals:
         page.table(("signal", "unit", "RMS of A − B", "mean", "largest", "at (s)"), [
-            (row.name, row.unit, row.rms, row.mean, row.largest, row.largest_at_s) for row in found.signals],
-            tall=len(found.signals) > 15)
+            _shown(row) for row in found.signals], tall=len(found.signals) > 15)
     for text, names in (("Only A has", found.only_a), ("Only B has", found.only_b)):
         if names:
             page.text(f"{text}: {', '.join(names)}.", "note")
@@ -84,6 +85,11 @@ def _signals(page: Page, a: Trial, b: Trial, found: TrialComparison) -> None:
     for name in [*reversed(FORCE), *(name for _, names, _ in MOTION for name in names)]:
         if name in there:
             _plot(page, a, b, name, there[name].unit)
+
+
+def _shown(row: SignalDifference) -> tuple[Cell, ...]:
+    texts, unit = quantities((row.rms, row.mean, row.largest), row.unit)
+    return NamedText(words(row.name), row.name), unit, *texts, row.largest_at_s
 
 
 def _plot(page: Page, a: Trial, b: Trial, name: str, unit: str) -> None:

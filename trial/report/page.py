@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from importlib import resources
@@ -94,6 +95,7 @@ Cell = str | int | float | None
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
 ROWS_SHOWN = 5000
 UNKNOWN = "–"
+_FIGURE = re.compile(rf"{UNKNOWN}|−?[\d.]+(e[-+−]\d+)?")  # a number as text, or an unknown one
 
 
 class NamedText(str):
@@ -160,7 +162,7 @@ class Page:
 
         More than 5000 rows are cut, with a note under the table.
         """
-        figure = [bool(rows) and all(not isinstance(row[place], str) or row[place] == UNKNOWN for row in rows)
+        figure = [bool(rows) and all(not isinstance(row[place], str) or _FIGURE.fullmatch(row[place]) for row in rows)
                   for place in range(len(header))]
         kinds = [' class="figure"' if right else "" for right in figure]
         head = "".join(f"<th{kind}>{_text(name)}</th>" for kind, name in zip(kinds, header, strict=True))

@@ -56,21 +56,22 @@ def display_unit(unit: str) -> tuple[str, float]:
 
 def quantity(value: float | None, unit: str = "") -> str:
     """Return a value in an SI `unit` as text, with a prefixed unit and three significant digits."""
-    if value is None or not math.isfinite(value):
-        return UNKNOWN
     (text,), shown = quantities((value,), unit)
-    return f"{text} {shown}".rstrip()
+    return text if text == UNKNOWN else f"{text} {shown}".rstrip()
 
 
-def quantities(values: Sequence[float], unit: str = "") -> tuple[list[str], str]:
+def quantities(values: Sequence[float | None], unit: str = "") -> tuple[list[str], str]:
     """Return values in an SI `unit` as texts with three significant digits, and the prefixed unit of the largest."""
     shown, factor = display_unit(unit)
-    if shown in SMALLER and 0.0 < factor * max(map(abs, values)) < SMALL:
+    known = [math.nan if value is None else value for value in values]
+    if shown in SMALLER and 0.0 < factor * max(filter(math.isfinite, map(abs, known)), default=0.0) < SMALL:
         shown, factor = SMALLER[shown][0], factor * SMALLER[shown][1]
-    return [_rounded(factor * value) for value in values], shown
+    return [_rounded(factor * value) for value in known], shown
 
 
 def _rounded(value: float) -> str:
+    if not math.isfinite(value):
+        return UNKNOWN
     if value == 0.0 or 1e-3 <= abs(value) < 1e6:
         places = max(0, 2 - math.floor(math.log10(abs(value)))) if value else 0
         text = f"{value:.{places}f}"
@@ -106,12 +107,20 @@ def label(key: str) -> str:
 
 def shown(facts: Mapping[str, object]) -> dict[str, object]:
     """Return the entries to show at once, by label: documented keys with a value, and keys of foreign files."""
-    return {label(key): _plain(value, FACT_UNITS.get(key)) for key, value in facts.items()
+    return {label(key): plain(key, value) for key, value in facts.items()
             if key not in ALWAYS_FOLDED and value not in (None, "", [], {}, "[]", "{}", "null")}
 
 
-def _plain(value: object, unit: str | None) -> object:
-    """Return a text that the file holds as JSON without its quotes; a quantity in `unit`, a long fraction rounded."""
+def plain(key: str, value: object) -> object:
+    """Return an entry as text: a quantity in its unit, a long fraction rounded, a mapping and a list without brackets.
+
+    A text that the file holds as JSON loses its quotes.
+    """
+    unit = FACT_UNITS.get(key)
+    if isinstance(value, Mapping):
+        return "; ".join(f"{label(name)} {plain(name, one)}" for name, one in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(str(plain(key, one)) for one in value)
     if isinstance(value, str) and value[:1] == value[-1:] == '"' and len(value) > 1:
         return json.loads(value)
     number = re.fullmatch(r"-?\d+(\.\d+)?(e-?\d+)?", str(value))

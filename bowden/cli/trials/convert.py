@@ -28,6 +28,7 @@ with on_first_use():
     from trial.read import open as opened
     from trial.read import open_file
     from trial.report import compare_page, trial_page
+    from trial.report.words import plain
 
 Source = Annotated[Path, argument(
     "FILE", "csv, tsv, xlsx, tdms, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
@@ -243,7 +244,7 @@ HASHES = ("commit", "calibration_digest", "packages", "limits_digest")
 
 
 def _change(row: FieldDifference) -> str:
-    a, b = ("–" if value is None else str(value)[:60] for value in (row.a, row.b))
+    a, b = ("–" if value is None else str(plain(row.key, value))[:60] for value in (row.a, row.b))
     return f"{row.key.replace('_', ' ')} {a} in A, {b} in B"
 
 
@@ -254,7 +255,8 @@ def _tell_everything(found: TrialComparison) -> None:
     rows = [(row.key, row) for row in (*found.metadata, *found.result)] + attached
     if rows:
         terminal.table("figures and what differs", ("key", "A", "B"), [
-            (key, *("–" if value is None else str(value) for value in (row.a, row.b))) for key, row in rows])
+            (key, *("–" if value is None else str(plain(row.key, value)) for value in (row.a, row.b)))
+            for key, row in rows])
     if found.signals:
         terminal.table(f"signals, A − B, matched {found.matched}", ("signal", "unit", "RMS", "mean", "largest"), [
             (row.name, row.unit, *(f"{value:.3g}" for value in (row.rms, row.mean, row.largest)))
