@@ -28,8 +28,10 @@ class Journal:
             self.lines = _read(path)
         if not self.lines:
             self._append({"step": "settings", "result": settings})
-        elif self.lines[0]["result"] != settings:
-            raise InputError(f"{path}: was begun with {self.lines[0]['result']}; resume with the same options.")
+        elif (begun := self.lines[0]["result"]) != settings:
+            other = "; ".join(f"{name} {begun.get(name)}, not {settings.get(name)}" for name in {**begun, **settings}
+                              if begun.get(name) != settings.get(name))
+            raise InputError(f"{path}: was begun with {other}; resume with the same options.")
         self._next = 1
 
     def step(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:

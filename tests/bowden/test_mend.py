@@ -43,7 +43,7 @@ def test_a_journal_of_another_run_is_refused(tmp_path: Path) -> None:
     Journal(path, SETTINGS, resume=False).step("gait", dict)
     with pytest.raises(InputError, match="a run was recorded here"):
         Journal(path, SETTINGS, resume=False)
-    with pytest.raises(InputError, match="resume with the same options"):
+    with pytest.raises(InputError, match=r"was begun with hours [\d.]+, not 2\.0; resume with the same options"):
         Journal(path, {**SETTINGS, "hours": 2.0}, resume=True)
     with pytest.raises(InputError, match="expected home"):
         Journal(path, SETTINGS, resume=True).step("home", dict)
