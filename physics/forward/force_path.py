@@ -146,7 +146,7 @@ def simulate(parameters: Array, rope_m: Array, knee_rad: Array, dt_s: float) -> 
     led = np.zeros((rope_m.size + 1, NODES))
     balance = _Balance(*np.zeros((len(_Balance._fields), NODES + 1)))
     for j, p in enumerate(np.ascontiguousarray(parameters.T)):
-        state = _State(*map(np.zeros, (NODES, NODES, NODES, NODES, (NODES, 3), NODES + 1, 3)))
+        state = _State(*(np.zeros(shape) for shape in (NODES, NODES, NODES, NODES, (NODES, 3), NODES + 1, 3)))
         _run(p, np.ascontiguousarray(rope_m), np.ascontiguousarray(knee_rad), dt_s, state, balance, led, j == 0,
              out[:, j])
     return PathResponse(*out)
