@@ -418,7 +418,7 @@ def _limits(found: TrialModes, bench: Mapping[str, float]) -> dict[str, Mapping[
     """Return the detection limit of each effect in these trials as published."""
     return {name: {"parameter": limit.parameter, "value": limit.value, "unit": limit.unit}
             for name, limit in detection_limits(found.observed, found.null, bench,
-                                                overdispersion(found.reference, found.null)).items()}
+                                                overdispersion(found.observed.model, found.null)).items()}
 
 
 def _sd(at: PosteriorMode, read: Any) -> float:

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.evidence.session_change import averaged, feature_sd
+from estimation.forward_model import ForwardModel
 from estimation.posterior import Gaussian, PosteriorMode, SessionData, begun, mode, screened
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
@@ -52,20 +53,19 @@ class TrialModes:
     def _against(self, base: PosteriorMode, offered: Mapping[str, PosteriorMode]) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each candidate against `base`, over the best mode's overdispersion."""
         candidates = {name: at for name, at in offered.items() if name not in self.refused}
-        scale = overdispersion(self.reference, max([base, *candidates.values()], key=lambda at: at.log_evidence))
+        scale = overdispersion(self.observed.model, max([base, *candidates.values()], key=lambda at: at.log_evidence))
         found = {name: (at.log_evidence - base.log_evidence) / scale for name, at in candidates.items()}
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-def overdispersion(reference: ReferenceFit, at: PosteriorMode) -> float:
+def overdispersion(model: ForwardModel, at: PosteriorMode) -> float:
     """Return the variance of a session about the reference condition over the expected one, at least 1.
 
-    One reference trial shows nothing of how sessions of its bench differ.  The departure of the trial's constants in
-    the best mode `at` does: a log likelihood is taken for one of so many times the variance (quasi-likelihood,
-    Wedderburn 1974).
+    Constants that depart by more than their scatter in the best mode `at`, too, depart by what the model misses.  A log
+    likelihood is taken for one of so many times the variance (quasi-likelihood, Wedderburn 1974).  Where a model pools
+    its sessions there is no scatter to measure departures by.
     """
-    alone = len(reference.identified) == 1 and not reference.model.pools_sessions
-    return max(1.0, at.strain**2) if alone else 1.0
+    return 1.0 if model.pools_sessions else max(1.0, at.strain**2)
 
 
 def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[str, tuple[Variant, ...]]:
