@@ -162,8 +162,8 @@ class Page:
 
         More than 5000 rows are cut, with a note under the table.
         """
-        figure = [bool(rows) and all(not isinstance(row[place], str) or _FIGURE.fullmatch(row[place]) for row in rows)
-                  for place in range(len(header))]
+        figure = [bool(rows) and all(not isinstance(cell, str) or _FIGURE.fullmatch(cell)
+                                     for cell in (row[place] for row in rows)) for place in range(len(header))]
         kinds = [' class="figure"' if right else "" for right in figure]
         head = "".join(f"<th{kind}>{_text(name)}</th>" for kind, name in zip(kinds, header, strict=True))
         body = "".join("<tr>" + "".join(f"<td{kind}>{_text(_cell(value))}</td>"
