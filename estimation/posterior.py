@@ -4,6 +4,7 @@
     ln p(y) = −½ cost(x̂) − ½ ln det(I + LᵀHᵀWHL),  P = LLᵀ,  H = [∂f/∂q, Φ]      up to a constant of the trial
 """
 
+import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -230,11 +231,13 @@ def descended(x: Any, cost: Callable[[Any], float], linearised: Callable[[Any], 
     while True:
         before, here = now, linearised(x)
         for _ in range(tries):
-            moved = stepped(x, here, damping)
-            then = cost(moved)
-            if np.isfinite(then) and then < now:
-                x, now = moved, then
-                break
+            # far from the data rounding may leave a system that only damping makes positive definite
+            with contextlib.suppress(np.linalg.LinAlgError):
+                moved = stepped(x, here, damping)
+                then = cost(moved)
+                if np.isfinite(then) and then < now:
+                    x, now = moved, then
+                    break
             damping = max(10.0 * damping, 1.0)
         damping = damping / 10.0 if damping > 1.0 else 0.0
         if before - now < close:

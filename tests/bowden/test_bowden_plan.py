@@ -36,9 +36,9 @@ def test_the_rope_is_led_until_end_is_what_the_waypoints_ask_for(name: str) -> N
 
 @pytest.mark.exhaustive
 def test_an_ambiguous_trial_gets_an_experiment_and_none_twice(tmp_path: Path, bowden: Callable[..., Any]) -> None:
-    (tmp_path / "bench.toml").write_text("[effects.mu2]\nmu2 = 0.36\n", encoding="utf-8")
+    (tmp_path / "bench.toml").write_text("[effects.fabric_friction]\nmu2 = 0.36\n", encoding="utf-8")
     changed = ["--day", "2", "--plant-model", str(tmp_path / "bench.toml")]
-    for name, words in (("a", ["--day", "0"]), ("b", ["--day", "1"]), ("trial", changed)):
+    for name, words in (("a", ["--day", "0"]), ("b", ["--day", "1"]), ("trial", [*changed, "--period", "1.4"])):
         assert bowden("trial", *GAIT, *words, "-o", tmp_path / f"{name}.mcap", "--json").status == 0
     asked = ("--healthy", tmp_path / "a.mcap", "--healthy", tmp_path / "b.mcap", "--json")
     status, out, err = bowden("plan", tmp_path / "trial.mcap", *asked)
