@@ -11,7 +11,7 @@ from diagnosis.evidence import decision
 from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, Decision
 from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
-from diagnosis.evidence.hypothesis_search import TrialModes, overdispersion
+from diagnosis.evidence.hypothesis_search import TrialModes
 from diagnosis.evidence.identical_motion import search_trial
 from diagnosis.findings import Findings
 from estimation.data.table import Table
@@ -418,7 +418,7 @@ def _limits(found: TrialModes, bench: Mapping[str, float]) -> dict[str, Mapping[
     """Return the detection limit of each effect in these trials as published."""
     return {name: {"parameter": limit.parameter, "value": limit.value, "unit": limit.unit}
             for name, limit in detection_limits(found.observed, found.null, bench,
-                                                overdispersion(found.observed.model, found.null)).items()}
+                                                found.overdispersion(found.null)).items()}
 
 
 def _sd(at: PosteriorMode, read: Any) -> float:

@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from diagnosis.evidence.session_change import averaged, feature_sd
-from estimation.forward_model import ForwardModel
 from estimation.posterior import Gaussian, PosteriorMode, SessionData, begun, mode, screened
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
@@ -29,7 +28,7 @@ class TrialModes:
     `reference`: reference condition.
     `prior`: prior of the session at the minimum of the best effect.  `variants`: the variant that each effect of
     `single` was fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since
-    their best value is outside their bounds.
+    their best value is outside their bounds.  `is_pair`: the trial is a difference to a reference trial of its motion.
     """
 
     observed: SessionData
@@ -41,6 +40,7 @@ class TrialModes:
     pair: dict[tuple[str, str], PosteriorMode] = field(default_factory=dict)
     paired: dict[str, Variant] = field(default_factory=dict)
     refused: set[str] = field(default_factory=set)
+    is_pair: bool = False
 
     def gains(self) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each candidate against the null, best first."""
@@ -53,19 +53,18 @@ class TrialModes:
     def _against(self, base: PosteriorMode, offered: Mapping[str, PosteriorMode]) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each candidate against `base`, over the best mode's overdispersion."""
         candidates = {name: at for name, at in offered.items() if name not in self.refused}
-        scale = overdispersion(self.observed.model, max([base, *candidates.values()], key=lambda at: at.log_evidence))
+        scale = self.overdispersion(max([base, *candidates.values()], key=lambda at: at.log_evidence))
         found = {name: (at.log_evidence - base.log_evidence) / scale for name, at in candidates.items()}
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
+    def overdispersion(self, at: PosteriorMode) -> float:
+        """Return the variance of the session about the reference condition over the expected one, at least 1.
 
-def overdispersion(model: ForwardModel, at: PosteriorMode) -> float:
-    """Return the variance of a session about the reference condition over the expected one, at least 1.
-
-    Constants that depart by more than their scatter in the best mode `at`, too, depart by what the model misses.  A log
-    likelihood is taken for one of so many times the variance (quasi-likelihood, Wedderburn 1974).  Where a model pools
-    its sessions there is no scatter to measure departures by.
-    """
-    return 1.0 if model.pools_sessions else max(1.0, at.strain**2)
+        Constants that depart by more than their scatter in the best mode `at`, too, depart by what the model misses. A
+        log likelihood is taken for one of so many times the variance (quasi-likelihood, Wedderburn 1974).  What the
+        model misses is the same in a pair, and where a model pools its sessions no scatter measures departures.
+        """
+        return 1.0 if self.is_pair or self.observed.model.pools_sessions else max(1.0, at.strain**2)
 
 
 def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[str, tuple[Variant, ...]]:

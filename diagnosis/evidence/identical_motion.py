@@ -56,7 +56,7 @@ def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: S
     if pair is None:
         return search(observed, fit.prior_of(observed), fit), None
     # the pair's prior is about one reference trial's mode, which no other minimum of all of them changes
-    return search(pair.observed, pair.prior, replace(fit, joint_minimum=None)), pair
+    return replace(search(pair.observed, pair.prior, replace(fit, joint_minimum=None)), is_pair=True), pair
 
 
 def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int) -> Pair:
