@@ -23,8 +23,8 @@ from bowden.progress import Silent
 from trial.mcap_file import cdr
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("bowden", "diagnosis", "eds", "estimation", "logbook", "master", "nodes", "parameters", "physics", "trial",
-            "virtual_bus")
+PACKAGES = ("bowden", "diagnosis", "eds", "estimation", "logbook", "master", "nodes", "parameters", "physics",
+            "safety_monitor", "trial", "virtual_bus")
 SHORT = bowden.Experiment(period_s=0.6, cycles=1, settle=0)
 MORE = """
 import numpy as np
@@ -55,7 +55,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     source, installed = place / "source", place / "site"
     for package in PACKAGES:
         shutil.copytree(ROOT / package, source / package, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "README.md"):
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source / name)
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     subprocess.run([*pip, "wheel", "--no-index", "--no-build-isolation", "--no-deps", "-w", str(place), str(source)],
@@ -85,7 +85,7 @@ def test_the_notebook_runs_outside_the_repository_against_the_installed_wheel(si
 
 @pytest.mark.exhaustive
 def test_the_controller_of_the_page_runs_and_replays_bit_for_bit(site: Path, tmp_path: Path) -> None:
-    (code,), (commands,) = blocks("controllers.md", "python"), blocks("controllers.md", "sh")
+    code, commands = blocks("controllers.md", "python")[0], blocks("controllers.md", "sh")[0]
     assert len(code[code.index("class "):].splitlines()) <= 20
     (tmp_path / "integral.py").write_text(code, encoding="utf-8")
     for line in commands.splitlines():
