@@ -67,9 +67,9 @@ def detection_limits(
     """
     told: dict[str, DetectionLimit] = {}
     model, table = observed.model, null.table
+    nats = threshold(model) * overdispersion
     for name, variants in hypotheses(observed, bench).items():
         parameter, read = next(iter(model.hypotheses[name].reads.items()))
-        nats = threshold(model) * overdispersion
         best = min((_response(observed, null, variant, nats) for variant in variants), key=lambda r: r.size)
         low, high, unit = model.limits(name, parameter)
         q, value = null.q.copy(), None

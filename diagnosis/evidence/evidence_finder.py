@@ -416,9 +416,10 @@ def _held_out(found: TrialModes, decided: Decision, reference: ReferenceFit, tab
 
 def _limits(found: TrialModes, bench: Mapping[str, float]) -> dict[str, Mapping[str, Any]]:
     """Return the detection limit of each effect in these trials as published."""
+    # as in the log Bayes factors: the null of a trial with a large effect departs by that effect
+    scale = found.overdispersion(found.null, *(found.single[name] for name in found.gains()))
     return {name: {"parameter": limit.parameter, "value": limit.value, "unit": limit.unit}
-            for name, limit in detection_limits(found.observed, found.null, bench,
-                                                found.overdispersion(found.null)).items()}
+            for name, limit in detection_limits(found.observed, found.null, bench, scale).items()}
 
 
 def _sd(at: PosteriorMode, read: Any) -> float:

@@ -28,7 +28,8 @@ class TrialModes:
     `reference`: reference condition.
     `prior`: prior of the session at the minimum of the best effect.  `variants`: the variant that each effect of
     `single` was fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since
-    their best value is outside their bounds.  `is_pair`: the trial is a difference to a reference trial of its motion.
+    their best value is outside their bounds.  `repeats_motion`: the trial is a difference to a reference trial of its
+    motion.
     """
 
     observed: SessionData
@@ -40,7 +41,7 @@ class TrialModes:
     pair: dict[tuple[str, str], PosteriorMode] = field(default_factory=dict)
     paired: dict[str, Variant] = field(default_factory=dict)
     refused: set[str] = field(default_factory=set)
-    is_pair: bool = False
+    repeats_motion: bool = False
 
     def gains(self) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each candidate against the null, best first."""
@@ -53,18 +54,20 @@ class TrialModes:
     def _against(self, base: PosteriorMode, offered: Mapping[str, PosteriorMode]) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each candidate against `base`, over the best mode's overdispersion."""
         candidates = {name: at for name, at in offered.items() if name not in self.refused}
-        scale = self.overdispersion(max([base, *candidates.values()], key=lambda at: at.log_evidence))
+        scale = self.overdispersion(base, *candidates.values())
         found = {name: (at.log_evidence - base.log_evidence) / scale for name, at in candidates.items()}
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
-    def overdispersion(self, at: PosteriorMode) -> float:
+    def overdispersion(self, *modes: PosteriorMode) -> float:
         """Return the variance of the session about the reference condition over the expected one, at least 1.
 
-        Constants that depart by more than their scatter in the best mode `at`, too, depart by what the model misses. A
-        log likelihood is taken for one of so many times the variance (quasi-likelihood, Wedderburn 1974).  What the
-        model misses is the same in a pair, and where a model pools its sessions no scatter measures departures.
+        Constants that depart by more than their scatter even in the best of `modes` depart by a model error. A log
+        likelihood is taken for one of so many times the variance (quasi-likelihood, Wedderburn 1974).  A trial that
+        repeats a motion has the model error of its reference trial, and pooled sessions have no scatter.
         """
-        return 1.0 if self.is_pair or self.observed.model.pools_sessions else max(1.0, at.strain**2)
+        if self.repeats_motion or self.observed.model.pools_sessions:
+            return 1.0
+        return max(1.0, max(modes, key=lambda at: at.log_evidence).strain**2)
 
 
 def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[str, tuple[Variant, ...]]:
@@ -74,13 +77,14 @@ def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[st
     return {name: variants for name, variants in offered.items() if variants}
 
 
-def search(observed: SessionData, prior: Gaussian, reference: ReferenceFit) -> TrialModes:
+def search(observed: SessionData, prior: Gaussian, reference: ReferenceFit, *, repeats_motion: bool = False
+           ) -> TrialModes:
     """Fit the null and the effects that the screen ranks first, and restart the fits from each other's modes.
 
     The null starts at the prior's mean and at the modes of the trials of the `reference` condition.
     """
     null = max((mode(observed, prior, start=at) for at in (None, *reference.starts())), key=lambda m: m.log_evidence)
-    found = TrialModes(observed, prior, reference, null)
+    found = TrialModes(observed, prior, reference, null, repeats_motion=repeats_motion)
     found.null = _averaged(found, null)
     offered = hypotheses(observed, observed.model.constants.named(prior.origin))
     # at the reference constants no constant has taken up an effect

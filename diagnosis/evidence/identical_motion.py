@@ -50,13 +50,13 @@ def paired(fit: ReferenceFit, references: Sequence[Recording], observed: Session
 
 
 def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: SessionData
-             ) -> tuple[TrialModes, Pair | None]:
+                 ) -> tuple[TrialModes, Pair | None]:
     """Return the modes of a trial, and its pair if a reference trial has its motion: then the modes are the pair's."""
     pair = paired(fit, references, observed)
     if pair is None:
         return search(observed, fit.prior_of(observed), fit), None
     # the pair's prior is about one reference trial's mode, which no other minimum of all of them changes
-    return replace(search(pair.observed, pair.prior, replace(fit, joint_minimum=None)), is_pair=True), pair
+    return search(pair.observed, pair.prior, replace(fit, joint_minimum=None), repeats_motion=True), pair
 
 
 def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int) -> Pair:
