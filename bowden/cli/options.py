@@ -1,9 +1,11 @@
-"""Options of the commands, each declared once.
+"""Command-line options that several commands share, each declared once, and the decorator that gives them to a command.
 
-A group is a named tuple of options with defaults and a method that applies them to a configuration: a command takes it
-as one parameter.  An option that names a file to write is a `new_file`.  `grouped` makes of a command what the command
-line calls: groups are spelt out and gathered again, --json and, beside a file to write, --overwrite are added, output
-files are checked before the command begins, and the answer is printed.
+- A group, such as `WalkOptions`, is a named tuple of options. A command takes it as one parameter and calls its method,
+  which returns the table of the configuration with the options of the command line in it.
+- `new_file` declares an option that names a file to write.
+- `grouped` wraps a command function for Typer. It replaces each group by its single options, adds --json, and adds
+  --overwrite where a file is written. Before the command it refuses unusable output files; after it, it prints the
+  answer.
 """
 
 from __future__ import annotations
@@ -353,9 +355,9 @@ def grouped(command: Callable[..., CommandAnswer | int]) -> Callable[..., int]:
 
 
 def _refuse_outputs(outputs: Mapping[str, tuple[str, Sequence[str]]], given: Mapping[str, Any]) -> None:
-    """Raise `InputError` for an output file that is an input, too, has another ending, or exists.
+    """Raise `InputError` for an output file that is also an input, has a wrong ending, or exists already.
 
-    In this order: nobody is told to overwrite what is refused then.
+    Existence comes last: --overwrite is suggested only for a file that it would let the command replace.
     """
     files = [given[name] for name in outputs]
     inputs = [path for name, value in given.items() if name not in outputs

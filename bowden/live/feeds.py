@@ -89,10 +89,11 @@ class TrialFeed:
 
 @contextmanager
 def of_trial(where: str, name: str, network: Network, say: Callable[[str], None]) -> Iterator[TrialFeed]:
-    """Serve a live page at `where` ([HOST:]PORT) while the trial `name` runs inside this context; yield its feed.
+    """Serve the live page of the trial `name` at `where` ([HOST:]PORT) until the `with` block ends; yield its feed.
 
-    The page's stop button ends the trial safely. `say` is called with the page's URL before the trial begins. Raises
-    `InputError` if the address cannot be used.
+    The caller runs the trial in the block and gives the feed in place of the trial's recorder (`TrialFeed.beside`).
+    The page's stop button requests a safe stop of that trial. `say` receives the page's URL before the block begins.
+    Raises `InputError` if the address cannot be used.
     """
     from master.cycle.run_safely import stop_button
 

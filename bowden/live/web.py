@@ -36,7 +36,10 @@ BACKLOG: Final = 128
 """Connections that the kernel holds until the server accepts them."""
 TOKEN_HEADER: Final = "X-Bowden-Token"
 Request = Callable[[PlayerControl, float | None, float | None], None]
-"""Request to a player: control, speed and position (s); None leaves the latter two as they are."""
+"""Function that commands the player of a recorded trial: control, speed as a multiple of real time, position in s.
+
+None leaves the speed or the position unchanged.
+"""
 
 
 def address(text: str) -> tuple[str, int]:

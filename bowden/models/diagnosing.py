@@ -96,13 +96,16 @@ class Diagnosis:
 
 
 class DiagnosisResult:
-    """Verdict of a diagnosis, with the named effects and the errors that remain.
+    """Result of a diagnosis: the verdict, the effects that it names, and the model errors with and without them.
 
-    `verdict`: none, found, ambiguous, unexplained or refused. `causes`: a dict for each named effect, with site,
-    parameters (value, 95 % interval from low to high, unit) and gain, %. `rivals`: the ambiguity set, effects that
-    these data cannot separate, the named ones first; `experiment` would separate them. `relations`: RMS errors by
-    signal, before and after. `warnings`: sentences for the reader. `terms`: terms of a law that extends the model
-    beyond the named effects, empty unless asked for. `seconds`: computing time, s.
+    - `verdict`: none, found, ambiguous, unexplained or refused.
+    - `causes`: the named effects, a dict each: `site`, `parameters` (value, 95 % interval low … high, unit), gain in %.
+    - `rivals`: names of the effects that these trials cannot tell apart, those of `causes` first; empty if there are
+      none. `experiment`: the experiment that would separate them.
+    - `relations`: RMS error of each signal without and with the named effects.
+    - `warnings`: sentences for the reader.
+    - `terms`: terms of a law fitted to what no effect explains; empty unless `diagnose` was asked for terms.
+    - `seconds`: computing time, s.
     """
 
     def __init__(

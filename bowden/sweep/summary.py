@@ -114,8 +114,10 @@ def name_of(row: Mapping[str, str]) -> str:
 
 
 def ranked(rows: Sequence[Mapping[str, str]]) -> list[RankedController]:
-    """Return the controllers of a sweep by the median error of their trials; behind them those of which a trial
-    stopped."""
+    """Return the controllers of a sweep, the smallest median error first.
+
+    Controllers with a trial that did not complete come last, whatever their error.
+    """
     found = []
     for name in {name_of(row) for row in rows}:
         own = [row for row in rows if name_of(row) == name]

@@ -115,9 +115,10 @@ def safety_monitor(
     person: Person, interface: MonitorInterface, board: BoardName, channel: options.Channel = None,
     bitrate: options.Bitrate = None, option: options.Extra = None, config: options.Config = None,
 ) -> CommandAnswer:
-    """Watch a bench with sensors of its own and open the enable line (STO) where a bound is broken.
+    """Run the safety monitor: read its sensors, and open the enable line (STO) when a bound of FILE is exceeded.
 
-    It runs until Ctrl-C, which opens the line too. It belongs on a computer of its own, never on the master's.
+    The sensors and the enable output are those of --board, not the bench's. Ctrl-C ends the monitor and opens the line.
+    Run it on a separate computer, never on the master's.
 
     Example: bowden safety-monitor person.toml --interface socketcan --channel can0 --board my_board:Board
     """
