@@ -6,7 +6,7 @@ A row is a mapping of a table's columns to cells as text.  Every figure is over 
 import math
 import statistics
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -64,12 +64,18 @@ def spreads(rows: Rows) -> dict[str, FigureRange]:
     return found
 
 
+def grouped(rows: Rows, name: Callable[[Mapping[str, Any]], Any]) -> dict[Any, list[Mapping[str, Any]]]:
+    """Return the rows by the value of `name`, in the order of its first row."""
+    members: dict[Any, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        members.setdefault(name(row), []).append(row)
+    return members
+
+
 def cells(rows: Rows, axes: Sequence[str]) -> list[dict[str, Any]]:
     """Return for each cell of the grid its values, trials, medians of the figures, and reasons of stops."""
     names = [name for name in axes if name not in REPEATED and len({str(row.get(name)) for row in rows}) > 1]
-    members: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
-    for row in rows if names else ():
-        members.setdefault(tuple(str(row.get(name, "")) for name in names), []).append(row)
+    members = grouped(rows if names else (), lambda row: tuple(str(row.get(name, "")) for name in names))
     return [{"cell": dict(zip(names, values, strict=True)), "trials": len(own), "completed": completed(own),
              "median": {name: spread.median for name, spread in spreads(own).items()}, "stopped": stopped(own)}
             for values, own in members.items()]
@@ -119,8 +125,7 @@ def ranked(rows: Sequence[Mapping[str, str]]) -> list[RankedController]:
     Controllers with a trial that did not complete come last, whatever their error.
     """
     found = []
-    for name in {name_of(row) for row in rows}:
-        own = [row for row in rows if name_of(row) == name]
+    for name, own in grouped(rows, name_of).items():
         error, idle, jump = map(spreads(own).get, (ERROR, IDLE, JUMP))
         found.append(RankedController(
             name, len(own), completed(own), error and error.median, error and error.least, error and error.greatest,
@@ -133,11 +138,11 @@ def draw_ranking(rows: Sequence[Mapping[str, str]], path: Path) -> None:
     """Write a picture (PNG, SVG or PDF by suffix): each trial's error a dot, the median a bar, the best on top."""
     from matplotlib.figure import Figure
 
-    order = ranked(rows)
+    order, members = ranked(rows), grouped(rows, name_of)
     figure: Any = Figure(figsize=(8, 1.2 + 0.6 * len(order)), layout="constrained")
     axes = figure.subplots()
     for place, one in enumerate(order):
-        errors = list(known([row for row in rows if name_of(row) == one.controller], ERROR).values())
+        errors = list(known(members[one.controller], ERROR).values())
         axes.plot(errors, [place] * len(errors), "o", color="tab:blue", alpha=0.4)
         if one.error_percent is not None:
             axes.plot([one.error_percent] * 2, [place - 0.3, place + 0.3], color="0.15", lw=2.0)

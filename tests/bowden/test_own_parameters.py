@@ -17,6 +17,7 @@ from bowden.bench import configuration
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run, summary
 from bowden.sweep.sweep_table import SweepTable
+from bowden.workers import ENDED, Workers, local
 from parameters import InputError
 
 OWN = '''
@@ -27,7 +28,7 @@ from bowden.controllers import Column, Controller, ControllerOutput, Trace, para
 @dataclass(frozen=True)
 class Gains:
     kp: float = parameter(100.0, "1", "share of the stretch fed forward, %", low=0.0, high=200.0, source="tuned")
-    fault: int = parameter(0, "", "what fails", low=0, high=2, source="a test")
+    fault: int = parameter(0, "", "what fails", low=0, high=4, source="a test")
 
 class Own(Controller[None]):
     parameters = Gains
@@ -36,6 +37,8 @@ class Own(Controller[None]):
         self.gait, self.own = gait, conditions.own
         if self.own.fault == 2:
             os._exit(7)
+        if self.own.fault > 2:
+            raise SystemExit if self.own.fault == 3 else KeyboardInterrupt
     def initial(self):
         return None
     def step(self, seen, state):
@@ -94,7 +97,7 @@ def test_a_sweep_varies_them_and_a_trial_that_raises_ends_its_row(own: Path) -> 
     assert [row["gait.tuning"] for row in rows] == [
         "kp=95, fault=0", "kp=95, fault=1", "kp=100, fault=0", "kp=100, fault=1", ""]
     with ThreadPoolExecutor(1) as executor, SweepTable(own / "t.csv", list(rows[0])) as table:
-        run.sweep(rows, table, run.Workers(executor, 1), own / "c")
+        run.sweep(rows, table, Workers(executor, 1), own / "c")
     made = list(csv.DictReader(io.StringIO((own / "t.csv").read_text())))
     assert [row["outcome"] for row in made] == ["completed", "stopped", "completed", "stopped", "completed"]
     assert "KeyError" in made[1]["stop_reason"]
@@ -115,15 +118,16 @@ def test_a_worker_in_another_folder_finds_a_plug_in(own: Path, monkeypatch: pyte
 
 @pytest.mark.exhaustive
 def test_a_trial_that_ends_its_process_ends_its_row_alone(own: Path) -> None:
-    rows = [*planned("controller=own.py:Own", "controller.fault=2"), *planned("controller=none", "serial=1,2")]
+    rows = [*planned("controller=own.py:Own", "controller.fault=2,3,4"), *planned("controller=none", "serial=1,2")]
     rows = [{**row, "controller.fault": row.get("controller.fault", "")} for row in rows]
     (own / "in").mkdir()
     os.environ.pop("PYTHONPATH", None)
-    with run.local(2) as workers, SweepTable(own / "t.csv", list(rows[0])) as table:
+    with local(2) as workers, SweepTable(own / "t.csv", list(rows[0])) as table:
         run.sweep(rows, table, workers, own / "c")
-    outcomes = {row["gait.controller"] + row["bench.serial"]: row["outcome"]
-                for row in csv.DictReader(io.StringIO((own / "t.csv").read_text()))}
-    assert outcomes == {"own.py:Own1": "failed", "none1": "completed", "none2": "completed"}
+    made = list(csv.DictReader(io.StringIO((own / "t.csv").read_text())))
+    assert [row["outcome"] for row in made] == ["failed", "refused", "failed", "completed", "completed"]
+    assert [row["stop_reason"] for row in made[::2]] == [ENDED, ENDED, ""]
+    assert "raised SystemExit" in made[1]["stop_reason"]
 
 
 @pytest.mark.exhaustive
@@ -141,6 +145,6 @@ def test_a_dask_worker_of_another_folder_runs_a_plug_in_and_each_failure_ends_it
         status, _, err = bowden("sweep", *axes, "--scheduler", cluster.scheduler_address, "-o", "t.csv", "--json")
     made = list(csv.DictReader(io.StringIO((own / "t.csv").read_text())))
     assert [row["outcome"] for row in made] == ["completed", "failed", "stopped"], (status, err)
-    assert made[1]["stop_reason"] == run.ENDED  # its worker was lost
+    assert made[1]["stop_reason"] == ENDED  # its worker was lost
     assert "KeyError" in made[2]["stop_reason"]
     assert "Traceback" not in err

@@ -9,8 +9,9 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,12 @@ import pytest
 
 from bowden.bench import configuration
 from bowden.cli.trials import sweep as sweep_command
+from bowden.models.diagnose_each import Reference, diagnose_each
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run, summary
 from bowden.sweep.row_trial import FIGURES
 from bowden.sweep.sweep_table import SweepTable
+from bowden.workers import ENDED, Workers, local, workers_of
 from parameters import InputError
 from physics.calibration import nominal, write
 
@@ -67,7 +70,7 @@ def test_an_interruption_loses_no_trial_that_was_under_way(tmp_path: Path) -> No
 
     with (ThreadPoolExecutor(1) as executor, SweepTable(tmp_path / "t.csv", list(rows[0])) as table,
           pytest.raises(KeyboardInterrupt)):
-        run.sweep(rows, table, run.Workers(executor, 1), tmp_path / "c", update=_interrupting())
+        run.sweep(rows, table, Workers(executor, 1), tmp_path / "c", update=_interrupting())
     done = [row["bench.serial"] for row in lines(tmp_path / "t.csv")]
     assert done[0] == "1"
     assert len(done) in (1, 2)
@@ -76,8 +79,8 @@ def test_an_interruption_loses_no_trial_that_was_under_way(tmp_path: Path) -> No
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows blocks no signals")
 def test_a_worker_is_out_of_reach_of_ctrl_c_from_its_first_instruction() -> None:
-    with run.local(1) as workers:
-        blocked = workers.submit(run.Job("", signal.pthread_sigmask, (signal.SIG_BLOCK, ()))).result()
+    with local(1) as workers:
+        blocked = workers.executor.submit(signal.pthread_sigmask, signal.SIG_BLOCK, ()).result()
     assert {signal.SIGINT, signal.SIGHUP, signal.SIGQUIT} <= blocked
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
@@ -109,7 +112,7 @@ def test_a_knee_out_of_step_at_the_end_is_led_back_to_the_reference(tempo: float
     rows = sweep_rows.rows(configuration.read(None), {}, [sweep_rows.axis(text) for text in (
         f"departure.tempo={tempo}", "cycles=5", "controller=extended")])
     with ThreadPoolExecutor(1) as executor, SweepTable(tmp_path / "t.csv", list(rows[0])) as table:
-        run.sweep(rows, table, run.Workers(executor, 1), tmp_path / "c")
+        run.sweep(rows, table, Workers(executor, 1), tmp_path / "c")
     (row,) = lines(tmp_path / "t.csv")
     assert row["outcome"] == "completed", row["stop_reason"]
 
@@ -130,7 +133,7 @@ def test_a_trial_that_is_refused_is_a_row_that_says_why(tmp_path: Path) -> None:
     soft.write_text(write(nominal()).replace("value = -1.7e-06", "value = -3e-06"))
     rows = planned(f"calibration={soft}", "peak=60")
     with ThreadPoolExecutor(1) as executor, SweepTable(tmp_path / "t.csv", list(rows[0])) as table:
-        run.sweep(rows, table, run.Workers(executor, 1), tmp_path / "c")
+        run.sweep(rows, table, Workers(executor, 1), tmp_path / "c")
     (row,) = lines(tmp_path / "t.csv")
     assert row["outcome"] == "refused"
     assert "turning point" in row["stop_reason"]
@@ -198,11 +201,52 @@ def test_a_dask_cluster_with_certificates_takes_no_one_without(here: Path) -> No
         for who in ("client", "scheduler", "worker") for what in ("cert", "key")})
     with dask.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, processes=False,
                            security=secured, protocol="tls://") as cluster:
-        with importlib.import_module("dask").config.set(configured), run.cluster(cluster.scheduler_address) as workers:
+        with importlib.import_module("dask").config.set(configured), workers_of(cluster.scheduler_address) as workers:
             assert workers.executor.submit(sum, (1, 2)).result() == 3
-        with pytest.raises(InputError, match=r"set Dask's own distributed\.comm\.tls"), run.cluster(
+        with pytest.raises(InputError, match=r"set Dask's own distributed\.comm\.tls"), workers_of(
                 cluster.scheduler_address):
             pass
+
+
+class EndingWorker(ThreadPoolExecutor):
+    """A worker whose every job ends it, as a plug-in that calls sys.exit does."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        return super().submit(sys.exit)
+
+
+def test_a_diagnosis_that_ends_its_process_is_refused_alone(here: Path) -> None:
+    trials = [here / "a.mcap", here / "b.mcap"]
+    with EndingWorker(1) as executor:
+        found = diagnose_each(trials, (), Reference(None, (), None), Workers(executor, 1), lambda share: None)
+    assert [one["verdict"] for one in found.values()] == ["refused", "refused"]
+    assert f"a.mcap: {ENDED}; give fewer --workers" in found[str(here / "a.mcap")]["warnings"][0]
+
+
+@pytest.mark.exhaustive
+@pytest.mark.walltime
+def test_a_lost_scheduler_ends_the_sweep_in_a_sentence_and_the_table_goes_on(
+    bowden: Callable[..., Any], here: Path
+) -> None:
+    dask = pytest.importorskip("distributed", reason="dask.distributed is not installed")
+    wanted = ("sweep", *SHORT, "--grid", "serial=1-3", "-o", "t.csv")
+    with dask.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as lost:
+        closing = threading.Thread(target=lambda: (_until_a_row(here / "t.csv"), lost.close()))
+        closing.start()
+        told = bowden(*wanted, "--scheduler", lost.scheduler_address)
+        closing.join()
+    assert told.status == 2
+    assert "was lost while it ran jobs" in told.stderr
+    assert "the same command goes on from there" in told.stderr
+    assert "Traceback" not in told.stderr
+    done = len(lines(here / "t.csv"))
+    assert 1 <= done < 3
+    assert json.loads(bowden(*wanted, "--workers", 1, "--json").stdout)["resumed"] == done
+
+
+def _until_a_row(path: Path) -> None:
+    while not path.is_file() or len(lines(path)) < 1:
+        threading.Event().wait(0.01)
 
 
 def test_each_cell_of_the_grid_has_a_line_with_why_its_trials_stopped() -> None:

@@ -18,8 +18,8 @@ import sys
 from pathlib import Path
 
 from benchmarks.frame import put
-from bowden.sweep import run as sweep
 from bowden.trials import provenance
+from bowden.workers import local
 from tests.hidden import family_bars, run
 from tests.hidden.family import Answer, answer, from_json
 from tests.hidden.family_jobs import KINDS, SERIALS, digest, jobs
@@ -84,7 +84,7 @@ def main(arguments: list[str]) -> None:
     name = f"family-{provenance.commit()}{'-no-oracle' if given.no_oracle else ''}.jsonl"
     kept = run.Kept(given.answers or OUT / name, from_json)
     whole, every = len(every), every[:given.most]
-    run.answered(every, kept, lambda: sweep.local(given.workers), functools.partial(
+    run.answered(every, kept, lambda: local(given.workers), functools.partial(
         answer, judged=not given.no_oracle))
     by_kind = [[kept.answers[job] for job in asked[kind] if job in every] for kind in kinds]
     for told in by_kind:

@@ -20,8 +20,8 @@ from typing import Any
 
 from benchmarks.frame import put
 from bowden.cli import terminal
-from bowden.sweep import run
 from bowden.trials import provenance
+from bowden.workers import Workers, workers_of
 from tests.hidden import cases, page
 from tests.hidden.answers import answer, from_json
 from tests.hidden.cases import Job
@@ -76,7 +76,7 @@ class Kept:
             stream.write(json.dumps({"commit": commit, "answer": told.as_json()}) + "\n")
 
 
-def ask(todo: Iterable[Any], crew: run.Workers, question: Question) -> Iterator[Any]:
+def ask(todo: Iterable[Any], crew: Workers, question: Question) -> Iterator[Any]:
     """Yield answers as they come, little more than one a worker under way."""
     left, under_way = iter(todo), set[Future[Any]]()
     while True:
@@ -90,12 +90,7 @@ def ask(todo: Iterable[Any], crew: run.Workers, question: Question) -> Iterator[
         yield from (future.result() for future in done)
 
 
-def crew_of(scheduler: str | None, workers: int | None) -> AbstractContextManager[run.Workers]:
-    """Return processes of this machine, or the workers of a Dask cluster, as `bowden sweep` does."""
-    return run.local(workers) if scheduler is None else run.cluster(scheduler)
-
-
-def answered(wanted: Sequence[Any], kept: Kept, crew: Callable[[], AbstractContextManager[run.Workers]],
+def answered(wanted: Sequence[Any], kept: Kept, crew: Callable[[], AbstractContextManager[Workers]],
              question: Question = answer) -> list[Any]:
     """Return the answers of `wanted`, in their order, those that are not kept yet by a crew."""
     todo = [job for job in wanted if job not in kept.answers]
@@ -138,7 +133,7 @@ def main(arguments: Sequence[str]) -> int:
     asked = options(arguments)
     wanted = jobs(asked.quick, asked.first)[:asked.most]
     kept = Kept(asked.answers or OUT / f"hidden-{provenance.commit()}.jsonl")
-    told = answered(wanted, kept, lambda: crew_of(asked.scheduler, asked.workers))
+    told = answered(wanted, kept, lambda: workers_of(asked.scheduler, asked.workers))
     written = page.text(told, f"Printed by `{command(arguments)}` at commit "
                         f"{', '.join(sorted({kept.commits[job] for job in wanted}))}: {len(told)} cases, seeds "
                         f"{wanted[0].seed} to {wanted[-1].seed}.")

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from benchmarks.frame import put
-from bowden.sweep.run import Workers
+from bowden.workers import Workers
 from master.motion.scripted_experiments import laps
 from physics.effects.separating_experiments import SCRIPTED
 from tests.hidden import bars, cases, moves, page, run

@@ -17,8 +17,8 @@ from parameters import InputError
 from parameters.files import write_whole
 
 with on_first_use():
-    from bowden.models import diagnosing, experiment_plan, logbook_entries
-    from bowden.sweep import run
+    from bowden import workers as job_workers
+    from bowden.models import diagnose_each, diagnosing, experiment_plan, logbook_entries
     from diagnosis.evidence.planned_limits import Plan
     from diagnosis.findings import Findings
     from diagnosis.report import figure_export
@@ -130,8 +130,9 @@ def _each(
     where: tuple[str | None, int | None],
 ) -> CommandAnswer:
     """Diagnose every trial for itself; status 0 with a result for each, 1 if some were refused, 2 if all were."""
-    with run.workers_of(*where) as crew, terminal.progress("diagnosing") as update:
-        told = run.diagnose_each(trials, holdout, (calibration, tuple(healthy), lowpass), crew, update)
+    reference = diagnose_each.Reference(calibration, tuple(healthy), lowpass)
+    with job_workers.workers_of(*where) as crew, terminal.progress("diagnosing") as update:
+        told = diagnose_each.diagnose_each(trials, holdout, reference, crew, update)
     refused = sum(one["verdict"] == "refused" for one in told.values())
     return CommandAnswer({"trials": told}, lambda: _tell_each(told, lowpass),
                          2 if refused == len(told) else 1 if refused else 0)

@@ -67,7 +67,7 @@ def sweep(
         try:
             found = sweep_run.into_table(rows, table, overwrite=overwrite, scheduler=scheduler, workers=workers,
                                          keep=keep, progress=terminal.TERMINAL)
-        except KeyboardInterrupt:
+        except (InputError, KeyboardInterrupt):
             terminal.remark(f"{table.growing}: keeps the trials that are done; the same command goes on from there.")
             raise
     cells = summary.cells(found, [name for name, _ in axes])
