@@ -19,14 +19,12 @@ _ANALOGUE_ERROR_MODE, _ANALOGUE_ERROR_VALUE = 0x6443, 0x6444
 class IoModule(Application):
     """Inputs that show the module's own outputs; `loopback` False leaves the inputs to the test."""
 
-    device: ProfileHost
-
     def __init__(self, loopback: bool = True) -> None:
         self.loopback = loopback
 
     def attach(self, device: ProfileHost) -> None:
         """Listen to all outputs."""
-        self.device, self.values = device, device.values
+        super().attach(device)
         outputs = (DIGITAL[0], ANALOGUE[0])
         self.watched = frozenset(at for at in device.objects.entries if at >> 8 in outputs and at & 0xFF)
         self.unstored = self.watched
@@ -52,12 +50,13 @@ class IoModule(Application):
     def _set_error_values(self) -> None:
         """Set each output to its error value: the bits of 0x6206, and analogue outputs whose 0x6443 is 1."""
         for at in sorted(self.watched):
-            sub, value = at & 0xFF, self._number(at)
-            if at >> 8 == DIGITAL[0]:
-                chosen = self._number(_ERROR_MODE << 8 | sub, 0xFF)
-                self.values[at] = value & ~chosen | self._number(_ERROR_VALUE << 8 | sub) & chosen
-            elif self._number(_ANALOGUE_ERROR_MODE << 8 | sub, 1):
-                self.values[at] = self._number(_ANALOGUE_ERROR_VALUE << 8 | sub)
+            index, sub = at >> 8, at & 0xFF
+            value = self.number(index, sub)
+            if index == DIGITAL[0]:
+                chosen = self.number(_ERROR_MODE, sub, 0xFF)
+                self.values[at] = value & ~chosen | self.number(_ERROR_VALUE, sub) & chosen
+            elif self.number(_ANALOGUE_ERROR_MODE, sub, 1):
+                self.values[at] = self.number(_ANALOGUE_ERROR_VALUE, sub)
             self._wire(at)
 
     def _wire(self, at: int) -> None:
@@ -65,11 +64,7 @@ class IoModule(Application):
         target = (DIGITAL[1] if index == DIGITAL[0] else ANALOGUE[1]) << 8 | sub
         if not self.loopback or target not in self.device.objects.entries:
             return
-        value = self._number(at)
+        value = self.number(index, sub)
         if index == DIGITAL[0]:
-            value ^= self._number(_OUT_POLARITY << 8 | sub) ^ self._number(_IN_POLARITY << 8 | sub)
+            value ^= self.number(_OUT_POLARITY, sub) ^ self.number(_IN_POLARITY, sub)
         self.values[target] = value
-
-    def _number(self, at: int, missing: int = 0) -> int:
-        value = self.values.get(at, missing)
-        return value if isinstance(value, int) else missing

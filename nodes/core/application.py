@@ -1,6 +1,6 @@
 """Interface between a device profile and the device core, which the profiles of plug-ins use as well.
 
-Every method of `Application` is optional and does nothing here; the core calls them, the profile decides.
+The core calls the methods of `Application`, the profile overrides those that it needs.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from eds.cia301 import Emcy, NmtState
 from eds.datatype import Value
+from eds.dictionary import key as key_of
 from nodes.core.objects import Objects
 
 if TYPE_CHECKING:
@@ -42,6 +43,9 @@ class Application:
     Times are nanoseconds of the caller's clock, keys are `eds.dictionary.key(index, subindex)`, values raw.
     """
 
+    device: ProfileHost
+    values: dict[int, Value]
+
     watched: frozenset[int] = frozenset()
     """Keys of the objects whose writes are reported to `written`; read once, after `attach`."""
 
@@ -49,7 +53,12 @@ class Application:
     """Keys that 0x1010 never saves, beyond those that an RPDO may write; read once, after `attach`."""
 
     def attach(self, device: ProfileHost) -> None:
-        """Keep `device`; called once, before power-on, when `device.values` already holds the defaults."""
+        """Keep `device` and its `values`; called once, before power-on, when the values already are the defaults."""
+        self.device, self.values = device, device.values
+
+    def number(self, index: int, subindex: int = 0, missing: int = 0) -> int:
+        """Return the value of an integer object; `missing` where the dictionary has none."""
+        return self.device.objects.number(key_of(index, subindex), missing)
 
     def check_write(self, key: int, value: Value) -> int:
         """Return 0 or an SDO abort code; asked for SDO writes above 0x1FFF and for watched keys in an RPDO."""

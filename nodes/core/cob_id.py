@@ -12,6 +12,7 @@ from eds.cia301 import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, Abort, re
 
 if TYPE_CHECKING:
     from nodes.core.device import Device
+    from nodes.core.objects import Objects
 
 CAN_ID: Final = 0x7FF
 INVALID: Final = COB_ID_INVALID
@@ -22,6 +23,12 @@ _IDENTITY: Final = COB_ID_EXTENDED | _EXTENDED_BITS | CAN_ID
 def exists(cob_id: int) -> bool:
     """Return whether an EMCY or PDO COB-ID entry is valid."""
     return not cob_id & COB_ID_INVALID
+
+
+def in_use(objects: Objects, at: int) -> int:
+    """Return the identifier of the EMCY or PDO COB-ID at key `at`; 0 while it is invalid or absent."""
+    word = objects.number(at, INVALID)
+    return word & CAN_ID if exists(word) else 0
 
 
 def check(device: Device, at: int, new: int) -> Abort | None:

@@ -96,9 +96,8 @@ class Emergency(Part):
 
     def cob_ids(self) -> Iterator[tuple[int, int]]:
         """Yield the COB-ID in use with its object."""
-        word = self._device.objects.number(key(COB_ID), cob_id.INVALID)
-        if cob_id.exists(word):
-            yield key(COB_ID), word & cob_id.CAN_ID
+        if can_id := cob_id.in_use(self._device.objects, key(COB_ID)):
+            yield key(COB_ID), can_id
 
     def _send(self, code: int, vendor: bytes) -> None:
         if self._device.nmt.state is NmtState.STOPPED:

@@ -16,6 +16,8 @@ from eds.cia301 import Frame, Service
 from eds.cia305 import BIT_RATES, FASTSCAN_RESET, LSS_REQUEST, LSS_RESPONSE, UNCONFIGURED, LssAddress, LssCommand
 from eds.dictionary import key
 from nodes.core.parts import FAR_NS, MS, Handler, Part
+from parameters import InputError
+from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from nodes.core.device import Device
@@ -179,9 +181,9 @@ class LssSlave(Part):
         """Store node id and bit timing; return the error code of the answer."""
         if self._path is not None:
             try:
-                self._path.write_text(json.dumps({"node_id": self.pending, "bitrate": self._pending_rate}) + "\n",
-                                      encoding="utf-8")
-            except OSError:
+                write_whole(self._path, json.dumps({"node_id": self.pending, "bitrate": self._pending_rate}) + "\n",
+                            overwrite=True)
+            except InputError:
                 return _NOT_STORED
         self._stored = self.pending, self._pending_rate
         return 0

@@ -271,11 +271,6 @@ class Guarding(Part):
             self._device.communication_lost(Emcy.HEARTBEAT, now_ns, 0)
         return self._due_ns
 
-    def state_entered(self, state: NmtState, now_ns: int) -> None:
-        """Restart at the boot-up."""
-        if state is NmtState.INITIALISING:
-            self.reset(now_ns)
-
     def _configured(self, _subindex: int, _value: Value, now_ns: int) -> None:
         if self._due_ns != FAR_NS:
             self._live(now_ns)

@@ -22,6 +22,12 @@ from nodes.core.pdo_parameters import mapping_refused, mapping_words, packer, ru
 if TYPE_CHECKING:
     from nodes.core.device import Device
 
+RECEIVE, TRANSMIT = range(0x1400, 0x1600), range(0x1800, 0x1A00)
+"""Indices of the communication parameters of RPDOs and TPDOs; the mapping parameter of each is `MAPPING` further on
+(CiA 301, 7.5.2.35 to 7.5.2.38)."""
+MAPPING: Final = 0x200
+
+
 class RpdoReception(NamedTuple):
     """Reception of an RPDO: plan, with SYNC or at once, deadline (0: none), keys that act, (key, least, greatest)."""
 
@@ -34,23 +40,22 @@ class RpdoReception(NamedTuple):
 
 
 class ReceivePdo:
-    """RPDO `number` (from 1), compiled from 0x1400 + number − 1; `can_id` is 0 while it does not exist."""
+    """RPDO of the communication parameter `index` (0x1400 …); `can_id` is 0 while it does not exist."""
 
     __slots__ = ("_asked", "_deadline_ns", "_device", "_fault", "_judged", "_keys", "_late", "_pdos", "_size",
-                 "_synchronous", "_unpack", "_watched", "can_id", "data", "due_ns", "number",
-                 "plan")
+                 "_synchronous", "_unpack", "_watched", "can_id", "data", "due_ns", "index", "number", "plan")
 
-    def __init__(self, pdos: Pdos, device: Device, number: int) -> None:
-        self._pdos, self._device, self.number = pdos, device, number
+    def __init__(self, pdos: Pdos, device: Device, index: int) -> None:
+        self._pdos, self._device, self.index = pdos, device, index
+        self.number = index - RECEIVE.start + 1
         self._fault: Emcy | None = None
         self._late = False
         self.stop()
 
     def compile(self, plan: PdoPlan) -> None:
         """Read the communication parameters again; monitoring begins with the next frame."""
-        objects, index = self._device.objects, 0x13FF + self.number
-        word = objects.number(key(index, 1), cob_id.INVALID)
-        self.can_id = word & cob_id.CAN_ID if cob_id.exists(word) else 0
+        objects, index = self._device.objects, self.index
+        self.can_id = cob_id.in_use(objects, key(index, 1))
         self._synchronous = objects.number(key(index, 2)) <= SYNC_MAX
         self._deadline_ns = objects.number(key(index, 5)) * MS
         self.plan = plan
@@ -165,22 +170,21 @@ def _limited(entry: Entry) -> bool:
 
 
 class TransmitPdo:
-    """TPDO `number` (from 1), compiled from 0x1800 + number − 1; `can_id` is 0 while it does not exist."""
+    """TPDO of the communication parameter `index` (0x1800 …); `can_id` is 0 while it does not exist."""
 
     __slots__ = ("_device", "_event_ns", "_inhibit_ns", "_last", "_requested", "_timer_due_ns", "can_id", "every",
-                 "free_ns", "left", "number", "payload", "plan", "requestable", "start")
+                 "free_ns", "index", "left", "payload", "plan", "requestable", "start")
 
-    def __init__(self, device: Device, number: int) -> None:
-        self._device, self.number = device, number
+    def __init__(self, device: Device, index: int) -> None:
+        self._device, self.index = device, index
         self.free_ns = 0
         self.stop()
 
     def compile(self, plan: PdoPlan) -> None:
         """Read the communication parameters again."""
-        objects, index = self._device.objects, 0x17FF + self.number
-        word = objects.number(key(index, 1), cob_id.INVALID)
-        self.can_id = word & cob_id.CAN_ID if cob_id.exists(word) else 0
-        self.requestable = bool(self.can_id) and not word & COB_ID_NO_RTR
+        objects, index = self._device.objects, self.index
+        self.can_id = cob_id.in_use(objects, key(index, 1))
+        self.requestable = bool(self.can_id) and not objects.number(key(index, 1)) & COB_ID_NO_RTR
         self.every = objects.number(key(index, 2))
         self.start = objects.number(key(index, 6))
         self._inhibit_ns = objects.number(key(index, 3)) * 100 * US
@@ -263,58 +267,54 @@ class Pdos(Part):
     def __init__(self, device: Device) -> None:
         self._device = device
         indices = {at >> 8 for at in device.objects.entries}
-        self._receive = {n: ReceivePdo(self, device, n) for n in range(1, 513) if 0x13FF + n in indices}
-        self._transmit = {n: TransmitPdo(device, n) for n in range(1, 513) if 0x17FF + n in indices}
+        self._receive = [ReceivePdo(self, device, index) for index in RECEIVE if index in indices]
+        self._transmit = [TransmitPdo(device, index) for index in TRANSMIT if index in indices]
+        self._pdos: tuple[ReceivePdo | TransmitPdo, ...] = (*self._receive, *self._transmit)
         self.arrived: list[ReceivePdo] = []
         self._cyclic: tuple[TransmitPdo, ...] = ()
         self._waiting: tuple[TransmitPdo, ...] = ()
         self._acyclic: tuple[TransmitPdo, ...] = ()
         self._running = False
         self._on_event: tuple[TransmitPdo, ...] = ()
-        owned = [base + n for base, group in ((0x13FF, self._receive), (0x15FF, self._receive),
-                                              (0x17FF, self._transmit), (0x19FF, self._transmit)) for n in group]
+        owned = {pdo.index + part: pdo for pdo in self._pdos for part in (0, MAPPING)}
         self.checks = {index: rule(device, index) for index in owned}
-        self.applied = {index: self._recompile(index) for index in owned}
+        self.applied = {index: self._recompile(pdo) for index, pdo in owned.items()}
         self.reset(0)
 
     def reset(self, now_ns: int) -> None:
         """Compile every PDO from its objects; one whose mapping is unusable does not exist."""
-        for number in self._receive:
-            self._compile(0x13FF + number)
-        for number in self._transmit:
-            self._compile(0x17FF + number)
+        for pdo in self._pdos:
+            self._compile(pdo)
 
     def state_entered(self, state: NmtState, now_ns: int) -> None:
         """Start all PDOs on entering OPERATIONAL, stop them on leaving it."""
         self.arrived.clear()
-        for receive in self._receive.values():
+        for receive in self._receive:
             receive.stop()
-        for transmit in self._transmit.values():
+        for transmit in self._transmit:
             transmit.begin(self._device.sync.counted)
         self._sort(now_ns)
 
     def handlers(self) -> Iterator[tuple[int, Handler]]:
         """Yield COB-ID and handler of the valid RPDOs."""
-        for pdo in self._receive.values():
+        for pdo in self._receive:
             if pdo.can_id:
                 yield pdo.can_id, pdo.receive
 
     def cob_ids(self) -> Iterator[tuple[int, int]]:
         """Yield the COB-IDs in use with their objects."""
-        for number, receive in self._receive.items():
-            yield key(0x13FF + number, 1), receive.can_id
-        for number, transmit in self._transmit.items():
-            yield key(0x17FF + number, 1), transmit.can_id
+        for pdo in self._pdos:
+            yield key(pdo.index, 1), pdo.can_id
 
     def requestable(self) -> frozenset[int]:
         """Return the TPDO identifiers whose remote frames are answered now."""
         if self._device.nmt.state is not NmtState.OPERATIONAL:
             return frozenset()
-        return frozenset(pdo.can_id for pdo in self._transmit.values() if pdo.requestable)
+        return frozenset(pdo.can_id for pdo in self._transmit if pdo.requestable)
 
     def requested(self, can_id: int, now_ns: int) -> None:
         """Answer a remote frame with the TPDO of that COB-ID."""
-        for pdo in self._transmit.values():
+        for pdo in self._transmit:
             if pdo.requestable and pdo.can_id == can_id:
                 self._device.refresh(now_ns)
                 pdo.send(now_ns)
@@ -361,7 +361,7 @@ class Pdos(Part):
     def poll(self, now_ns: int) -> int:
         """Report missed RPDO deadlines; send the TPDOs whose timers are due."""
         due_ns = FAR_NS
-        for receive in self._receive.values():
+        for receive in self._receive:
             if receive.due_ns <= now_ns:
                 receive.deadline(now_ns)
             due_ns = min(due_ns, receive.due_ns)
@@ -375,7 +375,7 @@ class Pdos(Part):
             return None
         if any(pdo.every != 1 or pdo.left > 1 for pdo in self._cyclic):
             return None
-        return SteadyPdos(self._cyclic, {pdo.can_id: pdo for pdo in self._receive.values() if pdo.can_id})
+        return SteadyPdos(self._cyclic, {pdo.can_id: pdo for pdo in self._receive if pdo.can_id})
 
     def _start_counting(self, counter: int) -> None:
         """Start the TPDOs whose SYNC start value equals this counter value."""
@@ -388,7 +388,7 @@ class Pdos(Part):
     def _sort(self, now_ns: int) -> None:
         """Rebuild the tuples of PDOs that every SYNC iterates over."""
         self._running = self._device.nmt.state is NmtState.OPERATIONAL
-        active = [pdo for pdo in self._transmit.values() if self._running and pdo.can_id]
+        active = [pdo for pdo in self._transmit if self._running and pdo.can_id]
         self._acyclic = tuple(pdo for pdo in active if pdo.every == 0)
         self._on_event = tuple(pdo for pdo in active if pdo.event_driven)
         cyclic = [pdo for pdo in active if pdo.every and not pdo.event_driven]
@@ -396,24 +396,20 @@ class Pdos(Part):
         self._waiting = tuple(pdo for pdo in cyclic if not pdo.left)
         self._device.wake(now_ns)
 
-    def _recompile(self, index: int) -> Applied:
+    def _recompile(self, pdo: ReceivePdo | TransmitPdo) -> Applied:
         def applied(_subindex: int, _value: Value, now_ns: int) -> None:
-            pdo = self._compile(index if index & 0x200 == 0 else index - 0x200)
+            self._compile(pdo)
             if isinstance(pdo, TransmitPdo):
                 pdo.begin(self._device.sync.counted)
             self._sort(now_ns)
             self._device.listen()
         return applied
 
-    def _compile(self, index: int) -> ReceivePdo | TransmitPdo:
-        receive = index < 0x1800
-        number = index - (0x13FF if receive else 0x17FF)
+    def _compile(self, pdo: ReceivePdo | TransmitPdo) -> None:
         objects = self._device.objects
-        words = mapping_words(objects, index + 0x200)
-        if mapping_refused(objects, words, receive):
+        words = mapping_words(objects, pdo.index + MAPPING)
+        if mapping_refused(objects, words, isinstance(pdo, ReceivePdo)):
             words = ()
-            at = key(index, 1)
+            at = key(pdo.index, 1)
             self._device.values[at] = objects.number(at) | cob_id.INVALID
-        pdo = self._receive[number] if receive else self._transmit[number]
         pdo.compile(compile_plan(objects.dictionary, words, 0))
-        return pdo

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
-from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Abort, Frame, NmtState, Service
+from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SERVICES, Abort, Frame, NmtState, Service
 from nodes.core.parts import FAR_NS, MS, Handler, Part
 from nodes.core.sdo_transfers import (
     BlockDownload,
@@ -50,7 +50,7 @@ class SdoServer(Part):
 
     def state_entered(self, state: NmtState, now_ns: int) -> None:
         """Discard a transfer on entering a state without SDO."""
-        if state in (NmtState.STOPPED, NmtState.INITIALISING):
+        if Service.SDO not in SERVICES[state]:
             self._transfer = None
 
     def handlers(self) -> Iterator[tuple[int, Handler]]:

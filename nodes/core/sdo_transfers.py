@@ -43,6 +43,12 @@ class Transfer:
         """Return a frame that is due without a request, if any; `due_ns` is its time."""
         return None
 
+    def finish(self, refusal: int) -> None:
+        """End a download by the result of its write, 0 or the abort code."""
+        if refusal:
+            raise TransferAbortedError(refusal)
+        self.finished = True
+
 
 class DownloadBuffer:
     """Bytes of a download so far, checked against the announced size and the object's capacity."""
@@ -115,10 +121,7 @@ class SegmentDownload(Transfer):
             raise TransferAbortedError(Abort.TOGGLE)
         self._received.append(data[1:1 + SEGMENT - (head >> 1 & 7)])
         if head & _LAST:  # written whole or not at all: no object holds a part of a value
-            refusal = self._write(self.key, self._received.whole(), now_ns)
-            if refusal:
-                raise TransferAbortedError(refusal)
-            self.finished = True
+            self.finish(self._write(self.key, self._received.whole(), now_ns))
         answer = 0x20 | self._toggle
         self._toggle ^= _TOGGLE
         return bytes((answer,)) + bytes(7)
@@ -200,10 +203,7 @@ class BlockDownload(Transfer):
         whole = self._received.whole_block(data[0] >> 2 & 7)
         if self._crc and crc_hqx(whole, 0) != int.from_bytes(data[1:3], "little"):
             raise TransferAbortedError(Abort.CRC)
-        refusal = self._write(self.key, whole, now_ns)
-        if refusal:
-            raise TransferAbortedError(refusal)
-        self.finished = True
+        self.finish(self._write(self.key, whole, now_ns))
         return bytes((0xA1, 0, 0, 0, 0, 0, 0, 0))
 
 

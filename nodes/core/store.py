@@ -7,7 +7,6 @@ or foreign file is not used, with EMCY 0x6320.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -18,6 +17,8 @@ from eds.dictionary import key
 from nodes.core.objects import outside
 from nodes.core.parts import Part
 from nodes.core.pdo_parameters import process_output
+from parameters import InputError
+from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from nodes.core.device import Device
@@ -107,11 +108,9 @@ class Store(Part):
 
     def _replace(self, stored: dict[int, Value]) -> Abort | None:
         if self._path is not None:
-            part = self._path.with_name(self._path.name + ".part")
             try:
-                part.write_text(self._text(stored), encoding="utf-8")
-                os.replace(part, self._path)
-            except OSError:
+                write_whole(self._path, self._text(stored), overwrite=True)
+            except InputError:
                 return Abort.HARDWARE
         self._stored = stored
         return None

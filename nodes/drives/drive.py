@@ -14,17 +14,19 @@ from eds.dictionary import key
 from nodes.core.application import ProfileHost
 from nodes.drives import axis_law as law
 from nodes.drives.axis import Axis
-from nodes.drives.axis_law import RpdoEffect
-from nodes.drives.modes import MODE_DISPLAY, ModesOfOperation, Phase
+from nodes.drives.modes import MODE_DISPLAY, TARGET_POSITION, ModesOfOperation, Phase
 from nodes.drives.state_machine import ERROR_CODE, RELEASE
 
 CONTROLWORD, STATUSWORD, MODE = key(0x6040), key(0x6041), key(0x6060)
-TARGET_POSITION, TARGET_VELOCITY, TARGET_TORQUE = key(0x607A), key(0x60FF), key(0x6071)
+TARGET_VELOCITY, TARGET_TORQUE = key(0x60FF), key(0x6071)
 POSITION_OFFSET, VELOCITY_OFFSET, TORQUE_OFFSET = key(0x60B0), key(0x60B1), key(0x60B2)
 POSITION, VELOCITY, TORQUE, INCREMENTS = key(0x6064), key(0x606C), key(0x6077), key(0x6063)
 POSITION_DEMAND, VELOCITY_DEMAND, TORQUE_DEMAND = key(0x6062), key(0x606B), key(0x6074)
 CURRENT, FOLLOWING, EFFORT = key(0x6078), key(0x60F4), key(0x60FA)
 _FIRST_PROFILE_KEY: Final = key(0x2000)
+FAULTS: Final = MappingProxyType({
+    law.LOST_TRACK: Emcy.FOLLOWING_ERROR, law.DISAGREE: Emcy.POSITION_SENSOR, law.RUNAWAY: Emcy.COMMUTATION})
+"""Events of a drive tick that are faults, each with its error code."""
 RELEASE_SIGNATURE: Final = 0x736C6572
 """Signature "rels", written to 0x2020: the operator's release."""
 
@@ -43,7 +45,7 @@ class Drive(ModesOfOperation):
 
     def attach(self, device: ProfileHost) -> None:
         """Read the units; listen to every writable object of the profile."""
-        self.device, self.values = device, device.values
+        super().attach(device)
         self.axis = Axis(device.objects.dictionary)
         self._s, self._g, self._out, self._state = self.axis.s, self.axis.g, self.axis.out, self.axis.state
         entries = device.objects.entries
@@ -151,10 +153,6 @@ class Drive(ModesOfOperation):
         """Return the statusword for each of the axis' flags (`law.IS_…`, 0 … 15), as the state machine is now."""
         return [self.base | self.mode_bits(flags) for flags in range(16)]
 
-    def rpdo_effect(self, at: int) -> RpdoEffect | None:
-        """Return the effect of the object `at` of an RPDO on the axis; None if an event may follow from it."""
-        return self.position_effect() if at == TARGET_POSITION else None
-
     def adopt(self, s: Any, g: Any, out: Any) -> None:
         """Move the axis' numbers into this memory."""
         self.axis.adopt(s, g, out)
@@ -165,12 +163,9 @@ class Drive(ModesOfOperation):
         events = int(self._state[law.EVENTS])
         self._state[law.EVENTS] = 0.0
         self.device.now_ns = now_ns
-        if events & law.LOST_TRACK:
-            self.fault(Emcy.FOLLOWING_ERROR, now_ns)
-        if events & law.DISAGREE:
-            self.fault(Emcy.POSITION_SENSOR, now_ns)
-        if events & law.RUNAWAY:
-            self.fault(Emcy.COMMUTATION, now_ns)
+        for event, code in FAULTS.items():
+            if events & event:
+                self.fault(code, now_ns)
         if events & law.STOPPED:
             self.rested(now_ns)
         if events & law.TIGHT:

@@ -33,18 +33,12 @@ _RAMP: Final = int(Stop.QUICK_STOP_RAMP)
 _HOLDS: Final = int(Stop.SLOW_DOWN_RAMP_HOLD)
 """Least value of 0x605A that stays in QUICK STOP ACTIVE."""
 _CYCLIC: Final = (Mode.CSP, Mode.CSV, Mode.CST)
-_BASE: Final = {
-    State.NOT_READY_TO_SWITCH_ON: 0x00, State.SWITCH_ON_DISABLED: 0x40, State.READY_TO_SWITCH_ON: 0x31,
-    State.SWITCHED_ON: 0x33, State.OPERATION_ENABLED: 0x37, State.QUICK_STOP_ACTIVE: 0x17,
-    State.FAULT_REACTION_ACTIVE: 0x1F, State.FAULT: 0x08,
-}
-"""State → statusword bits 0 to 6, with voltage enabled where power is on."""
+_UNPOWERED: Final = (State.NOT_READY_TO_SWITCH_ON, State.SWITCH_ON_DISABLED, State.FAULT)
+"""States in which the statusword does not show "voltage enabled"."""
 
 
 class GenericDrive(Application):
     """An ideal axis with the CiA 402 state machine; `fault` makes it report an error."""
-
-    device: ProfileHost
 
     def __init__(self) -> None:
         self.state: State | None = None
@@ -63,7 +57,7 @@ class GenericDrive(Application):
 
     def attach(self, device: ProfileHost) -> None:
         """Listen to controlword and mode."""
-        self.device, self.values = device, device.values
+        super().attach(device)
         self.watched = frozenset({key(0x6040), key(0x6060), key(0x607A), key(0x60FF), key(0x6071)})
         self.unstored = frozenset({key(0x6040), key(0x607A), key(0x60FF), key(0x6071)})
 
@@ -71,7 +65,7 @@ class GenericDrive(Application):
         """Refuse a mode that the drive does not have."""
         if key != 0x606000:
             return 0
-        supported = self._number(0x6502)
+        supported = self.number(0x6502)
         known = value in MODES and (not supported or value == 0 or Mode(int(value)).supported_bit & supported)
         return 0 if known else Abort.INVALID_VALUE
 
@@ -88,7 +82,7 @@ class GenericDrive(Application):
         """Initialise: state SWITCH ON DISABLED; the position survives."""
         self.state, self._word, self._error, self._at_ns = None, 0, 0, now_ns
         self._stop_at_once()
-        self._select(Mode(self._number(0x6060)) if self._number(0x6060) in MODES else Mode.NONE)
+        self._select(Mode(self.number(0x6060)) if self.number(0x6060) in MODES else Mode.NONE)
         for _ in range(2):
             self._fire(DriveEvent.INITIALISED)
         self._show(now_ns)
@@ -101,7 +95,7 @@ class GenericDrive(Application):
     def communication_lost(self, reason: Emcy, now_ns: int) -> None:
         """React to a lost connection as 0x6007 selects."""
         self._advance(now_ns)
-        reaction = self._number(0x6007)
+        reaction = self.number(0x6007)
         if self.state is State.OPERATION_ENABLED:
             if reaction == AbortConnection.FAULT:
                 self.fault(reason, now_ns)
@@ -144,14 +138,14 @@ class GenericDrive(Application):
             self._take_set_point(word)
         elif self.mode is Mode.HOMING and rising & Control.HOMING_START:
             self._homed = False
-            at_once = self._number(0x6098) in (35, 37)
+            at_once = self.number(0x6098) in (35, 37)
             self._homed_ns = now_ns + (0 if at_once else HOMING_NS)
         elif self.mode is Mode.HOMING and not word & Control.HOMING_START:
             self._homed_ns = None if not self._homed else self._homed_ns
 
     def _fire(self, event: DriveEvent) -> None:
         row = None if self.state is None and event is not DriveEvent.INITIALISED else STEP.get((self.state, event))
-        option = self._number(0x605A, _RAMP)
+        option = self.number(0x605A, missing=_RAMP)
         if row is None or (row.number == 16 and option < _HOLDS):
             return
         self.state = row.target
@@ -172,7 +166,7 @@ class GenericDrive(Application):
 
     def _take_set_point(self, word: int) -> None:
         start = self._next if self._next is not None else self._goal if self._goal is not None else self.position
-        target = self._number(0x607A) + (start if word & _RELATIVE else 0.0)
+        target = self.number(0x607A) + (start if word & _RELATIVE else 0.0)
         if self._goal is None or word & _IMMEDIATE:
             self._goal, self._next = target, None
         elif self._next is None:
@@ -187,7 +181,7 @@ class GenericDrive(Application):
     @property
     def _busy(self) -> bool:
         """True while the axis moves, or something is still to be reached."""
-        waiting = self.state is State.QUICK_STOP_ACTIVE and self._number(0x605A, _RAMP) < _HOLDS
+        waiting = self.state is State.QUICK_STOP_ACTIVE and self.number(0x605A, missing=_RAMP) < _HOLDS
         commanded = self.state is State.OPERATION_ENABLED and self._wanted_velocity() != self.velocity
         homing = self._homed_ns is not None and not self._homed
         return bool(self.velocity) or self._goal is not None or waiting or commanded or homing
@@ -200,10 +194,10 @@ class GenericDrive(Application):
             self._move(step_ns * 1e-9)
         self._at_ns = max(self._at_ns, now_ns)
         if self._homed_ns is not None and not self._homed and self._homed_ns <= now_ns:
-            self._homed, self.position = True, float(self._number(0x607C))
+            self._homed, self.position = True, float(self.number(0x607C))
         if self.mode is Mode.CSP and self._follows:
-            self.position = self._within(self._number(0x607A) + self._number(0x60B0))
-        if self.state is State.QUICK_STOP_ACTIVE and not self.velocity and self._number(0x605A, _RAMP) < _HOLDS:
+            self.position = self._within(self.number(0x607A) + self.number(0x60B0))
+        if self.state is State.QUICK_STOP_ACTIVE and not self.velocity and self.number(0x605A, missing=_RAMP) < _HOLDS:
             self._fire(DriveEvent.QUICK_STOP_DONE)
 
     @property
@@ -237,33 +231,28 @@ class GenericDrive(Application):
         if self.mode is Mode.PROFILE_POSITION and self._goal is not None:
             way = self._goal - self.position
             braking = math.sqrt(2.0 * self._acceleration(True) * abs(way))
-            return math.copysign(min(float(self._number(0x6081)) or VELOCITY, max(braking, 1.0)), way)
+            return math.copysign(min(float(self.number(0x6081)) or VELOCITY, max(braking, 1.0)), way)
         if self.mode in (Mode.PROFILE_VELOCITY, Mode.CSV):
-            return float(self._number(0x60FF) + (self._number(0x60B1) if self.mode is Mode.CSV else 0))
+            return float(self.number(0x60FF) + (self.number(0x60B1) if self.mode is Mode.CSV else 0))
         if self.mode in (Mode.CST, Mode.PROFILE_TORQUE):
-            return self._torque() * 1e-3 * (float(self._number(0x607F)) or VELOCITY)
+            return self._torque() * 1e-3 * (float(self.number(0x607F)) or VELOCITY)
         return 0.0
 
     def _torque(self) -> int:
-        return self._number(0x6071) + (self._number(0x60B2) if self.mode is Mode.CST else 0)
+        return self.number(0x6071) + (self.number(0x60B2) if self.mode is Mode.CST else 0)
 
     def _acceleration(self, braking: bool) -> float:
-        if self.state is State.QUICK_STOP_ACTIVE and self._number(0x6085):
-            return float(self._number(0x6085))
-        return float((braking and self._number(0x6084)) or self._number(0x6083)) or ACCELERATION
+        if self.state is State.QUICK_STOP_ACTIVE and self.number(0x6085):
+            return float(self.number(0x6085))
+        return float((braking and self.number(0x6084)) or self.number(0x6083)) or ACCELERATION
 
     def _within(self, position: float) -> float:
-        low, high = self._number(0x607D, sub=1), self._number(0x607D, sub=2)
+        low, high = self.number(0x607D, 1), self.number(0x607D, 2)
         bounded = max(low, min(high, position)) if low < high else position
         self._limited = bounded != position
         return bounded
 
     # ---- objects ----
-
-    def _number(self, index: int, missing: int = 0, sub: int = 0) -> int:
-        """Return the value of an integer object; `missing` if the EDS has none."""
-        value = self.values.get(key(index, sub), missing)
-        return value if isinstance(value, int) else missing
 
     def _put(self, index: int, value: float) -> None:
         entry = self.device.objects.entries.get(key(index))
@@ -285,7 +274,10 @@ class GenericDrive(Application):
         self._put(0x6041, self._statusword())
 
     def _statusword(self) -> int:
-        word = _BASE[self.state or State.NOT_READY_TO_SWITCH_ON] | Status.REMOTE
+        state = self.state or State.NOT_READY_TO_SWITCH_ON
+        word = state.value[1] | Status.REMOTE
+        if state not in _UNPOWERED:
+            word |= Status.VOLTAGE_ENABLED
         if self._limited:
             word |= Status.INTERNAL_LIMIT
         if self._word & Control.HALT:

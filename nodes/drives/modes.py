@@ -41,12 +41,7 @@ AT_ONCE: Final = frozenset({HomingMethod.CURRENT_POSITION_35, HomingMethod.CURRE
 """Methods that take the present position for home, without a motion and in any state."""
 
 
-def homing_bits(phase: Phase, moving: bool) -> int:
-    """Return the statusword bits of a phase."""
-    return int(BITS[phase, moving])
-
-
-MODE_DISPLAY = key(0x6061)
+MODE_DISPLAY, TARGET_POSITION = key(0x6061), key(0x607A)
 _ENABLED: Final = State.OPERATION_ENABLED
 _MOVING: Final = (Mode.CSP, Mode.CSV, Mode.CST)
 _EDGES: Final = Control.HOMING_START | Control.HALT
@@ -166,10 +161,11 @@ class ModesOfOperation(StateMachine):
             self.device.recover(Emcy.POSITION_LIMIT)
         self.axis.target_position(target)
 
-    def position_effect(self) -> RpdoEffect | None:
-        """Return the effect of `to_position` on the axis at every target in the present mode; None if it may have
-        others.
+    def rpdo_effect(self, at: int) -> RpdoEffect | None:
+        """Return the effect of the object `at` of an RPDO on the axis in the present mode; None if an event may follow.
         """
+        if at != TARGET_POSITION:
+            return None
         if self._open is not Mode.CSP or not self._commanded:
             return RpdoEffect(KEEPS)
         if self._stepped or self.number(0x60B0):
@@ -222,7 +218,7 @@ class ModesOfOperation(StateMachine):
         """Return statusword bits 10 to 13 for the axis' flags."""
         bits = 0
         if self.mode is Mode.HOMING:
-            bits = homing_bits(self.phase, bool(flags & law.IS_MOVING))
+            bits = int(BITS[self.phase, bool(flags & law.IS_MOVING)])
         elif self._open is not Mode.NONE:
             if not flags & law.IS_YIELDING:
                 bits = int(Status.FOLLOWS_COMMAND)

@@ -10,9 +10,8 @@ from typing import Final, NamedTuple
 
 from eds.cia301 import Emcy
 from eds.cia402 import STEP, AbortConnection, DriveEvent, Input, State, Status, Stop, Transition
-from eds.datatype import Value
 from eds.dictionary import key
-from nodes.core.application import Application, ProfileHost
+from nodes.core.application import Application
 from nodes.drives.axis import Axis
 
 ERROR_CODE, RELEASE, INPUTS = key(0x603F), key(0x2020), key(0x60FD)
@@ -28,8 +27,6 @@ _SLOWLY: Final = (Stop.SLOW_DOWN_RAMP, Stop.SLOW_DOWN_RAMP_HOLD)
 class StateMachine(Application):
     """The power drive system's state, its faults and its stops; `begin` and `cease` are the drive function's."""
 
-    device: ProfileHost
-    values: dict[int, Value]
     axis: Axis
 
     def __init__(self) -> None:
@@ -45,11 +42,6 @@ class StateMachine(Application):
         self._errors: list[Emcy] = []
         self.hold_ends_ns: int | None = None
         """Time, ns, at which a holding stop ends by itself after the connection was lost (0x2018); None otherwise."""
-
-    def number(self, index: int, subindex: int = 0) -> int:
-        """Return the value of an integer object, 0 where the EDS has none."""
-        value = self.values.get(index << 8 | subindex, 0)
-        return value if isinstance(value, int) else 0
 
     # ---- the drive function: what a mode of operation adds ----
 

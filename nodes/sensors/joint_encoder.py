@@ -21,7 +21,7 @@ class JointEncoder(Application):
 
     def attach(self, device: ProfileHost) -> None:
         """Initialise the objects; the joint is at 0."""
-        self.values = device.values
+        super().attach(device)
         self.angle_rad = 0.0
         self._offset = 0
 

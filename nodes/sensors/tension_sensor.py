@@ -47,7 +47,7 @@ class TensionSensor(Application):
 
     def attach(self, device: ProfileHost) -> None:
         """Register for the channel's settings."""
-        self.device, self.values = device, device.values
+        super().attach(device)
         self.watched = frozenset(k for k, e in device.objects.entries.items() if k >= key(0x6000) and e.writable)
         self.unstored = frozenset({AUTOZERO})
         self._changed = False
