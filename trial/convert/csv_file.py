@@ -8,7 +8,6 @@ diagnosis read through this module.
 
 import csv
 import datetime
-import io
 import math
 import re
 from collections.abc import Container, Iterable, Sequence
@@ -307,7 +306,6 @@ class _Columns(NamedTuple):
     values: list[Floats]
     faults: dict[int, tuple[int, str]]  # by column: place in the rows, and the cell
     begins_ns: dict[int, int]
-    grouped: bool = False  # a number has marks between its thousands
 
 
 def _numbers(reading: _Reading, names: Sequence[str], body: Sequence[_Line]) -> _Columns:
@@ -319,30 +317,23 @@ def _numbers(reading: _Reading, names: Sequence[str], body: Sequence[_Line]) -> 
     reading.comma = comma
     if comma:
         reading.remarks.append("decimal comma")
-    joined = "\n".join(line.text for line in body)
-    plain = _filled(joined.replace(",", ".") if comma else joined, delimiter)
-    try:
-        table = np.loadtxt(io.StringIO(plain), delimiter=None if delimiter == " " else delimiter, ndmin=2,
-                           comments=None)
-        if table.shape == (len(body), len(names)) and not np.isinf(table).any():
-            return _Columns(list(np.ascontiguousarray(table.T)), {}, {})
-    except ValueError:
-        pass  # a wrong or quoted cell, a word for an unknown value, or a time: cell by cell then
     rows = _rows(reading, len(names), body)
-    found = _by_column([list(cells) for cells in zip(*rows, strict=True)], comma)
-    if found.grouped:
-        reading.remarks.append("marks between thousands")
+    found = _Columns([], {}, {})
+    for place, cells in enumerate(zip(*rows, strict=True)):
+        values, fault = _parsed(cells, comma)
+        if fault is not None and _THOUSANDS.match(fault[1]):
+            values, fault = _parsed([_THOUSANDS.sub(lambda number: number[0].replace(number[1], ""), cell)
+                                     for cell in cells], comma)
+            if "marks between thousands" not in reading.remarks:
+                reading.remarks.append("marks between thousands")
+        if fault is not None:
+            timed = time_column(cells, UNKNOWN)
+            if timed is None:
+                found.faults[place] = fault
+            else:
+                values, found.begins_ns[place] = timed.seconds, timed.begins_ns
+        found.values.append(values)
     return found
-
-
-def _filled(text: str, delimiter: str) -> str:
-    """Return rows whose empty cells are nan, as NumPy's reader takes them."""
-    if delimiter == " ":
-        return text
-    text = f"\n{text}\n"
-    for border in (2 * delimiter, 2 * delimiter, f"\n{delimiter}", f"{delimiter}\n"):  # a row of blanks needs both
-        text = text.replace(border, f"{border[0]}nan{border[1]}")
-    return text[1:-1]
 
 
 def _rows(reading: _Reading, width: int, body: Sequence[_Line]) -> Iterable[list[str]]:
@@ -354,32 +345,19 @@ def _rows(reading: _Reading, width: int, body: Sequence[_Line]) -> Iterable[list
         yield cells
 
 
-def _by_column(columns: Sequence[Sequence[str]], comma: bool) -> _Columns:
-    found, grouped = _Columns([], {}, {}), False
-    for place, cells in enumerate(columns):
-        values, fault = _parsed(cells, comma)
-        if fault is not None and _THOUSANDS.match(fault[1]):
-            grouped = True
-            values, fault = _parsed([_THOUSANDS.sub(lambda number: number[0].replace(number[1], ""), cell)
-                                     for cell in cells], comma)
-        if fault is not None:
-            first = next((cell for cell in cells if cell.strip().lower() not in UNKNOWN), "")
-            timed = time_column(cells, UNKNOWN) if is_time(first) else None
-            if timed is not None:
-                values, fault = timed.seconds, None
-                found.begins_ns[place] = timed.begins_ns
-            else:
-                found.faults[place] = fault
-        found.values.append(values)
-    return found._replace(grouped=grouped)
-
-
 _THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}([.,])\d{3}(?:\1\d{3})*(?!\1)[.,]\d+\s*$")
 """Number with marks between its thousands and another decimal mark: 1.234,5 or 1,234.5."""
 
 
 def _parsed(cells: Sequence[str], comma: bool) -> tuple[Floats, tuple[int, str] | None]:
     """Return a column's numbers and its first cell that is not a finite number."""
+    try:
+        dotted = (cell.replace(",", ".") for cell in cells) if comma else cells
+        plain = np.fromiter(map(float, dotted), np.float64, len(cells))
+        if not np.isinf(plain).any():
+            return plain, None
+    except ValueError:
+        pass  # a wrong cell, a word for an unknown value, or a time: cell by cell then
     values, fault = np.empty(len(cells)), None
     for at, cell in enumerate(cells):
         try:
