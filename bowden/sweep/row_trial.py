@@ -14,9 +14,9 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from bowden.bench import buses
+from bowden.bench import buses, configuration
 from bowden.models import identification
-from bowden.sweep.rows import IDENTIFIED, NOMINAL, Row, motion, plant_model, reference, table
+from bowden.sweep.rows import IDENTIFIED, NOMINAL, Row, motion, plant_model, table
 from bowden.trials import provenance, session
 from parameters import InputError
 from physics.calibration import write
@@ -97,24 +97,18 @@ def not_run(outcome: str, reason: str) -> dict[str, Any]:
 
 
 def _figures(row: Row, calibration: str, place: Path, folder: Path) -> dict[str, Any]:
-    sections = {name: table(row, name) for name in ("network", "impedance", "limits", "homing", "walk")}
-    course, sections["gait"] = reference(row, ("gait.period_s",))
     given = str(row["files.calibration"])
     path = None if given == NOMINAL else Path(given)
     if given == IDENTIFIED:
         path = folder / "calibration.toml"
         path.write_text(calibration, encoding="utf-8")
-    prepared = session.prepare(sections, course, path, chosen(row), dry_run=False, files=attached(row),
-                               knee=Path(str(row["files.knee"])) if row["files.knee"] else None)
-    departing = dataclasses.replace(prepared.experiment, motion=motion(course, table(row, "departure")))
+    files = {part: Path(name) if name else None for part, name in vars(table(row, "files")).items()}
+    prepared = session.prepare_gait(
+        {name: table(row, name) for name in configuration.SECTIONS}, path, chosen(row), peak_given=False,
+        period_given=True, knee=files["knee"], desired=files["desired"])
+    experiment = prepared.experiment
+    departing = dataclasses.replace(experiment, motion=motion(experiment.reference, table(row, "departure")))
     return session.perform(dataclasses.replace(prepared, experiment=departing), place, overwrite=True)
-
-
-def attached(row: Row) -> dict[str, bytes]:
-    """Return the knee and desired-force files of a row, as its trial carries them."""
-    files = table(row, "files")
-    return provenance.curves(**{part: Path(name) if name else None for part, name in
-                           (("knee", files.knee), ("desired", files.desired))})
 
 
 def chosen(row: Row) -> buses.BusSettings:

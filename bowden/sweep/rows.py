@@ -24,7 +24,6 @@ from eds import declaration
 from eds.bench import bus_load
 from eds.bench.bench_network import Network, wire
 from master.control import controller
-from master.settings import Gait
 from parameters import InputError, checked, declarations, parameter
 from physics.reference import CYCLE_POINTS, Reference
 from virtual_bus.build import GROUPS, steady
@@ -286,7 +285,10 @@ def checked_row(row: Row, varied: Container[str]) -> Row:
         if file not in ("", NOMINAL, IDENTIFIED) and not Path(file).is_file():
             raise InputError(f"{file}: no such file; give the path of an existing one.")
     if files.knee or files.desired:
-        gait = reference(row, varied)[1]
+        _, gait, _ = session.reference(
+            table(row, "gait"), *(Path(file) if file else None for file in (files.knee, files.desired)),
+            period_given="gait.period_s" in varied, peak_given="gait.peak_n" in varied, walk=table(row, "walk"),
+            rate_hz=table(row, "network").rate_hz)
         row |= {"gait.period_s": gait.period_s, "gait.peak_n": gait.peak_n}
     gait = table(row, "gait")
     kind = controller.find(gait.controller, where="gait")
@@ -300,16 +302,6 @@ def checked_row(row: Row, varied: Container[str]) -> Row:
     for group, given in plant_model(row).items():
         checked(GROUPS[group](**given), where=group)
     return row
-
-
-def reference(row: Row, varied: Container[str]) -> tuple[Reference, Gait]:
-    """Return a row's reference, and its gait with the period and peak of its files unless they are `varied`."""
-    files = table(row, "files")
-    knee, desired = (Path(file) if file else None for file in (files.knee, files.desired))
-    built, gait, _ = session.reference(table(row, "gait"), knee, desired, period_given="gait.period_s" in varied,
-                                       peak_given="gait.peak_n" in varied, walk=table(row, "walk"),
-                                       rate_hz=table(row, "network").rate_hz)
-    return built, gait
 
 
 _affordable = cache(lambda network: bus_load.refuse(wire(network)))
