@@ -37,8 +37,8 @@ Integers = NDArray[np.int64]
 
 BROADCAST = 0
 """Node number of NMT, SYNC and TIME frames, which belong to no node."""
-DIRECTIONS = {"rx": False, "tx": True}
-"""Direction as recorded: received from the bus, or sent by the recording computer."""
+DIRECTIONS = {"rx": False, "tx": True, "both": None}
+"""Direction as recorded: received from the bus, or sent by the recording computer; None: both."""
 _TIME_COB_ID = 0x100
 _NODE_MASK = 0x7F
 _COMMANDS = {
@@ -129,8 +129,9 @@ def chosen_by(frames: Rows, selection: Selection) -> NDArray[np.bool_]:
         chosen &= np.isin(frames["can_id"], list(selection.cob_ids))
     if selection.direction is not None:
         if selection.direction not in DIRECTIONS:
-            raise InputError(f"--direction {selection.direction}: expected rx or tx; rx is what the nodes sent.")
-        chosen &= frames["sent"] == DIRECTIONS[selection.direction]
+            raise InputError(f"--direction {selection.direction}: expected rx, tx or both; rx is what the nodes sent.")
+        if DIRECTIONS[selection.direction] is not None:
+            chosen &= frames["sent"] == DIRECTIONS[selection.direction]
     if selection.channels:
         chosen &= np.isin(frames["channel"], list(selection.channels))
     return chosen

@@ -43,7 +43,7 @@ def test_a_trial_goes_out_as_a_table_and_comes_back_the_same(recorded: Path, bow
     assert told.status == 0
     assert json.loads(told.stdout) == {
         "trial": "back.mcap", "imported_from": "trial.csv", "counts": {"rows": ROWS}, "left_out": [],
-        "read_as": [], "channels": {}}
+        "read_as": [], "channels": {}, "damage": []}
     one, other = trial.open(recorded), trial.open("back.mcap")
     assert all(np.array_equal(one.columns[name], other.columns[name]) for name in one.columns)
 

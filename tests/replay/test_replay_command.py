@@ -6,6 +6,7 @@ import io
 import itertools
 import json
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -70,11 +71,34 @@ def test_frames_that_nodes_on_the_bus_send_too_are_not_taken_and_it_is_said(
     recorded: Callable[..., Trial], bowden: Callable[..., Any]
 ) -> None:
     words = ("replay", recorded().path, "--onto", "bus", "--from", 5, "--to", 5.05)
-    told = bowden(*words)
+    told = bowden(*words, "--direction", "both")
     assert told.status == 1
     assert "--direction tx leaves out" in told.stderr
     told = bowden(*words, "--direction", "tx")
     assert (told.status, told.stderr) == (0, "")
+
+
+def test_onto_the_simulated_bench_go_the_frames_that_the_recorder_sent(
+    recorded: Callable[..., Trial], bowden: Callable[..., Any]
+) -> None:
+    trial = recorded()
+    told = bowden("replay", trial.path, "--onto", "bus", "--to", 0.6)
+    assert told.status == 0, told
+    first = trial.frames["time_ns"] - trial.frames["time_ns"].min() <= 600_000_000
+    sent = int(trial.frames["sent"][first].sum())
+    assert f"{sent} frames in 1 passes, 0 not taken by the bus" in told.stdout
+    assert "--direction both plays all" in told.stderr
+
+
+def test_a_log_that_was_only_listened_to_is_refused_onto_the_simulated_bench(
+    bowden: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a.log").write_text("".join(f"({k / 1000:.6f}) can0 181#3712000000000000\n" for k in range(1, 50)))
+    assert bowden("import", "a.log", "-o", "a.mcap").status == 0
+    told = bowden("replay", "a.mcap", "--onto", "bus")
+    assert (told.status, told.stdout, told.stderr.count("\n")) == (2, "", 1), told
+    assert "a.mcap: holds no frame that its recorder sent" in told.stderr
 
 
 def test_channels_are_mapped(

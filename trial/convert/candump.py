@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parameters import InputError
-from trial.convert.frames import ChannelNumbers, FrameRows, LoggedFrames
+from trial.convert.frames import END_MISSING, ChannelNumbers, DamageRemarks, FrameRows, LoggedFrames
 from trial.mcap_file import cdr
 
 NS = 1_000_000_000
@@ -106,25 +106,34 @@ def each(lines: Iterable[str], name: str, remark: Callable[[str], None]) -> Iter
 def read(lines: Iterable[str]) -> LoggedFrames:
     """Read a candump log; `counts` holds malformed lines, CAN FD frames (a trial cannot store them) and DLCs above 8.
 
+    `damage` lists malformed lines, and a last line without an end, whose payload may be cut.
+
     Raises `InputError` for screen output without a time, or with the time since the line before.
     """
     rows = FrameRows()
     channels = ChannelNumbers()
     counts = {"malformed_lines": 0, "fd_frames": 0, "dlc_above_8": 0, "unstamped_lines": 0}
-    shown = 0
-    for line in lines:
+    shown, damage, line = 0, DamageRemarks(), "\n"
+    for number, line in enumerate(lines, 1):
         frame = parse(line)
-        if frame is None:
-            counts[_anomaly(line)] += bool(line.strip())
+        if frame is None and line.strip():
+            anomaly = _anomaly(line)
+            counts[anomaly] += 1
+            if anomaly == "malformed_lines":
+                damage.add(f"line {number}", f"{line.strip()[-60:]!r} is no whole frame; left out")
+        elif frame is None:
+            pass
         elif frame.time_ns is None:
             counts["unstamped_lines"] += 1
         else:
             shown += frame.shown
             counts["dlc_above_8"] += frame.long
             rows.add((frame.time_ns, frame.can_id, frame.flags, frame.dlc, channels.number(frame.channel), frame.sent,
-                      frame.payload))
+                      frame.payload), number)
+    if not line.endswith("\n") and parse(line) is not None:
+        damage.add(f"line {number}", END_MISSING)
     _refuse_screen(rows, counts, shown)
-    return LoggedFrames(rows.rows(), channels.names, counts)
+    return LoggedFrames(rows.rows(), channels.names, counts, damage, rows.lines)
 
 
 def _anomaly(line: str) -> str:

@@ -189,6 +189,7 @@ def _columns_of_trial(path: Path, found: Contents) -> None:
 def _log(path: Path, frames: LoggedFrames) -> Contents:
     rows = frames.rows
     found = Contents(path, "CAN log", counts=dict(frames.counts))
+    found.remarks += frames.damage.sentences
     if len(rows):
         found.begins_ns = int(rows["time_ns"].min())
         found.seconds = float(rows["time_ns"].max() - rows["time_ns"].min()) / 1e9

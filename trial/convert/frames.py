@@ -5,6 +5,7 @@ A time stamp (int64, ns) is changed only if it cannot be right, and every change
 """
 
 import re
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -55,18 +56,24 @@ def rows_of(rows: Sequence[Row]) -> NDArray[np.void]:
 
 
 class FrameRows:
-    """Frames gathered one by one, packed every 65 536, so that memory is 24 bytes a frame."""
+    """Frames gathered one by one, packed every 65 536, so that memory is 24 bytes a frame, 28 with `lines`.
+
+    `lines` has the line of each frame in a text, from 1; it is empty for a binary log.
+    """
 
     def __init__(self) -> None:
+        self.lines = array("I")
         self._blocks: list[NDArray[np.void]] = []
         self._loose: list[Row] = []
 
     def __len__(self) -> int:
         return sum(len(block) for block in self._blocks) + len(self._loose)
 
-    def add(self, row: Row) -> None:
-        """Add one frame."""
+    def add(self, row: Row, line: int = 0) -> None:
+        """Add one frame, of a text with its line."""
         self._loose.append(row)
+        if line:
+            self.lines.append(line)
         if len(self._loose) == 65_536:
             self._blocks.append(rows_of(self._loose))
             self._loose.clear()
@@ -76,13 +83,48 @@ class FrameRows:
         return np.concatenate([*self._blocks, rows_of(self._loose)])
 
 
+MOST_REMARKS = 20
+"""Damaged places of a log that are listed one by one; of more, their number is stated."""
+END_MISSING = "the last line has no end, so bytes of its frame may be missing; kept"
+"""Remark on the last line of a log that a killed logger may have cut."""
+
+
+class DamageRemarks:
+    """Sentences about damaged places of a log, `MOST_REMARKS` at most; `sentences` ends with the number of others."""
+
+    def __init__(self) -> None:
+        self._first: list[str] = []
+        self._others = 0
+
+    def add(self, place: str, damage: str) -> None:
+        """Add the damage at one place, such as "line 7"."""
+        if len(self._first) < MOST_REMARKS:
+            self._first.append(f"{place}: {damage}")
+        else:
+            self._others += 1
+
+    @property
+    def sentences(self) -> list[str]:
+        """Return the sentences in the order of the log."""
+        return [*self._first, *([f"and {self._others} more such places"] if self._others else [])]
+
+
 @dataclass
 class LoggedFrames:
-    """Frames of a log, the names of its channels, and the anomalies counted in reading it."""
+    """Frames of a log, the names of its channels, the anomalies counted in reading it, and where it is damaged.
+
+    `lines` has the line of each frame in a text, from 1; it is empty for a binary log.
+    """
 
     rows: NDArray[np.void]
     channels: dict[str, int]
     counts: dict[str, int] = field(default_factory=dict)
+    damage: DamageRemarks = field(default_factory=DamageRemarks)
+    lines: Sequence[int] = ()
+
+    def place(self, index: int) -> str:
+        """Return where a frame stands in the log: its line in a text, else its number, from 1."""
+        return f"line {self.lines[index]}" if self.lines else f"frame {index + 1}"
 
 
 def oddities(rows: NDArray[np.void]) -> dict[str, int]:

@@ -42,7 +42,7 @@ READING = 0.7  # of the share: of a CAN log the reading takes longer than the wr
 class ImportReport:
     """Result of an import: counts by name (zeros left out), columns left out, and how the file was read.
 
-    `questions` are, by signal, about a range beyond a rope bench.
+    `questions` are, by signal, about a range beyond a rope bench. `damage` lists cut frames of a CAN log, by line.
     """
 
     source: Path
@@ -51,12 +51,13 @@ class ImportReport:
     channels: dict[str, int] = field(default_factory=dict)
     read_as: list[str] = field(default_factory=list)
     questions: dict[str, str] = field(default_factory=dict)
+    damage: list[str] = field(default_factory=list)
 
     def as_json(self) -> dict[str, object]:
         """Return the report as the trial's result keeps it."""
         counts = {name: count for name, count in self.counts.items() if count}
         return {"imported_from": self.source.name, "counts": counts, "left_out": self.left_out,
-                "channels": self.channels, "read_as": self.read_as}
+                "channels": self.channels, "read_as": self.read_as, "damage": self.damage}
 
 
 @dataclass
@@ -289,7 +290,20 @@ def _from_frames(source: Path, frames: LoggedFrames, report: ImportReport, wire:
     report.channels = frames.channels
     events, found = decode.decoded_events_and_cycles(frames.rows, wire)
     report.counts |= found.counts
+    _list_short_pdos(frames, wire)
+    report.damage = frames.damage.sentences
     return TrialContent(found.time_ns, found.columns, frames.rows, events, of_bench(wire.network.bench))
+
+
+def _list_short_pdos(frames: LoggedFrames, wire: WireLayout) -> None:
+    """Add the PDOs of the bench's channel that have fewer bytes than are mapped to the log's damage."""
+    rows = frames.rows
+    ours = (rows["flags"] == 0) & (rows["channel"] == decode.bench_channel(rows, wire))
+    sizes = {source.plan.cob_id: source.plan.size for source in decode.layout(wire)}
+    for cob_id, size in sizes.items():
+        for index in np.flatnonzero(ours & (rows["can_id"] == cob_id) & (rows["dlc"] < size)).tolist():
+            frames.damage.add(frames.place(index), f"PDO {cob_id:03X} has {rows['dlc'][index]} of the {size} bytes "
+                                                   "that are mapped; kept as a frame, without a value")
 
 
 _FRAME = struct.Struct("<I3?B")

@@ -7,12 +7,15 @@ message read from a trial carries `time_ns` beside python-can's seconds.
 
 import io
 import os
+import re
 import shutil
 import struct
 import tempfile
 import zlib
+from array import array
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -25,7 +28,7 @@ from numpy.typing import NDArray
 
 from parameters import InputError
 from parameters.files import BoundedFile, refuse_large, refuse_special, unpacked_ending
-from trial.convert.frames import ChannelNumbers, FrameRows, LoggedFrames
+from trial.convert.frames import END_MISSING, ChannelNumbers, DamageRemarks, FrameRows, LoggedFrames
 from trial.mcap_file import cdr
 from trial.read import frame_blocks
 from trial.record import Recorder
@@ -135,46 +138,96 @@ class McapWriter(SizedMessageWriter):
         return self._path.stat().st_size
 
 
-def _refuse_bomb(path: Path) -> None:
-    """Raise `InputError` for a BLF container that no logger wrote; python-can unpacks each whole, however large."""
+def _refuse_bomb(path: Path) -> int:
+    """Return how many bytes the last object of a BLF file lacks.
+
+    Raises `InputError` for a container that no logger wrote; python-can unpacks each whole, however large.
+    """
     with path.open("rb") as file:
         file.seek(int.from_bytes(file.read(8)[4:], "little"))
         while len(head := file.read(_OBJECT.size)) == _OBJECT.size:
             signature, _, _, size, kind = _OBJECT.unpack(head)
             if signature != b"LOBJ" or size < _OBJECT.size:
-                return  # python-can says what is wrong
+                return 0  # python-can says what is wrong
             body = file.read(size - _OBJECT.size)
+            if len(body) < size - _OBJECT.size:
+                return int(size) - _OBJECT.size - len(body)
             file.read(size % 4)
             if kind == _CONTAINER and body[:1] == _DEFLATED:
                 unpacked = zlib.decompressobj().decompress(body[16:], CONTAINER_LIMIT + 1)
                 if len(unpacked) > CONTAINER_LIMIT:
                     raise InputError(f"{path}: a container unpacks to more than {CONTAINER_LIMIT} bytes; "
                                      "it is no measured log, do not open it.")
+    return 0
+
+
+_EVENT = {
+    ".asc": re.compile(r"(?!\s*-?\d+(\.\d*)?(\s+\d+(\s+[0-9A-Fa-f]+x?(\s.*)?)?|\s+CANFD(\s.*)?)?\s*$)"),
+    ".trc": re.compile(r"\s*($|;|.*\b(Warng|Error|ST|ER|EC|EV|FFFFFFFF)\b)"),
+    ".csv": re.compile(r".*"),
+}
+"""Lines of a text log, by ending, that python-can passes over and that are no frame: headers, comments, bus states."""
+_HALF_BYTE = re.compile(r"[^=]*\s[0-9A-Fa-f]\s*$")
+_DECIMAL = re.compile(r"\s*base\s+dec", re.IGNORECASE)
+
+
+class NumberedLines(io.TextIOWrapper):
+    """Lines of a text log for python-can's reader; lines of cut frames, which it passes over, go to `damage`.
+
+    `number` and `text` are those of the line last read. `ending` is the log's, such as ".asc". `hexadecimal` is False
+    once the header of an ASC log states decimal bytes, which may have one digit.
+    """
+
+    def __init__(self, raw: io.BufferedReader, ending: str, damage: DamageRemarks) -> None:
+        super().__init__(raw, encoding="utf-8", errors="replace")
+        self.number, self.text, self.lost, self.hexadecimal = 0, "", 0, True
+        self._ending, self._damage, self._used = ending, damage, True
+
+    def __next__(self) -> str:  # type: ignore[override]  # typeshed's base of all streams yields bytes
+        self.finish()
+        self.text = super().__next__()
+        self.number += 1
+        self._used = False
+        self.hexadecimal = self.hexadecimal and not (self.number < 20 and _DECIMAL.match(self.text))
+        return self.text
+
+    def use(self) -> int:
+        """Mark the line as one that a frame was read from; return its number."""
+        self._used = True
+        return self.number
+
+    def finish(self) -> None:
+        """Note the damage if the line last read is of a frame that python-can passed over."""
+        if not self._used and not _EVENT[self._ending].match(self.text):
+            self.lost += 1
+            self._damage.add(f"line {self.number}", f"{self.text.strip()[-60:]!r} is no whole frame; left out")
+        self._used = True
 
 
 CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
 
 
 @contextmanager
-def _messages(path: Path) -> Iterator[tuple[Any, Callable[[], float]]]:
-    """Yield an iterator over a log's messages, and a function that returns the share of the file read so far."""
+def _messages(path: Path, damage: DamageRemarks) -> Iterator[tuple[Any, NumberedLines | None, Callable[[], float]]]:
+    """Yield an iterator over a log's messages, the lines of a text, and a function that returns the share read so far.
+
+    `damage` receives lines that are no whole frame.
+    """
     ending = unpacked_ending(path)
     if ending == ".db":
-        yield _sqlite(path), lambda: 0.0
+        yield _sqlite(path), None, lambda: 0.0
         return
-    if ending == ".blf" and path.suffix.lower() == ".blf":
-        _refuse_bomb(path)
     reader_type: Any = _mdf_reader() if ending == ".mf4" else MESSAGE_READERS[ending]
     text = issubclass(reader_type, TextIOMessageReader)
     if ending == ".mf4":
         with reader_type(path) as reader:
-            yield reader, lambda: 0.0
+            yield reader, None, lambda: 0.0
         return
     with BoundedFile(path, lines=text) as raw:
         whole: Any = io.BufferedReader(raw, 1 << 16)
-        file = io.TextIOWrapper(whole, encoding="utf-8", errors="replace") if text else whole
-        with reader_type(file) as reader:
-            yield reader, raw.share
+        lines = NumberedLines(whole, ending, damage) if text else None
+        with reader_type(lines or whole) as reader:
+            yield reader, lines, raw.share
 
 
 def _mdf_reader() -> Any:
@@ -209,23 +262,29 @@ LAST_IDENTIFIER: Final = 0x1FFF_FFFF
 def read_log(path: Path, progress: Callable[[float], None] = lambda share: None) -> LoggedFrames:
     """Read a log in a format of python-can (.asc, .blf, .trc …, its own .csv and .db; some packed by gzip).
 
-    `counts` holds CAN FD frames (a trial cannot store them), DLCs above 8 of classical frames, malformed frames, and
-    the bytes that a BLF file has less than its header states.
+    `counts` holds CAN FD frames (a trial cannot store them), DLCs above 8 of classical frames, malformed frames, lines
+    and frames that are cut, and the bytes that a BLF file has less than its header states; `damage` lists where.
     `progress` receives the share read, 0 … 1. Raises `InputError` if the file is malformed.
     """
     refuse_special(path)
-    rows = FrameRows()
-    channels = ChannelNumbers()
-    counts = {"fd_frames": 0, "malformed_frames": 0, "dlc_above_8": 0}
+    frames = LoggedFrames(np.empty(0, cdr.FRAME_ROW), {}, {
+        "fd_frames": 0, "malformed_frames": 0, "dlc_above_8": 0, "cut_frames": 0})
+    rows, channels, lines = FrameRows(), ChannelNumbers(), None
     try:
         refuse_large(path)
-        with _messages(path) as (reader, share):
+        lacking = _refuse_bomb(path) if path.suffix.lower() == ".blf" else 0
+        with _messages(path, frames.damage) as (reader, lines, share):
             for number, message in enumerate(reader, start=1):
                 if number % ROWS_AT_ONCE == 0:
                     progress(share())
-                _take(message, rows, channels, counts)
+                _take(message, rows, channels, frames, number, lines)
             if path.suffix.lower() == ".blf":  # its header states the size that its writer closed it with
-                counts["missing_bytes"] = max(0, reader.file_size - path.stat().st_size)
+                _lacking(frames, max(lacking, reader.file_size - path.stat().st_size), len(rows))
+            if lines is not None:
+                lines.finish()
+                frames.counts["malformed_lines"] = lines.lost
+                if rows.lines[-1:] == array("I", [lines.number]) and not lines.text.endswith("\n"):
+                    frames.damage.add(f"line {lines.number}", END_MISSING)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of a CAN log.") from None
     except InputError:
@@ -234,20 +293,42 @@ def read_log(path: Path, progress: Callable[[float], None] = lambda share: None)
         raise InputError(f"{path}: is too large for this computer's memory; cut it.") from None
     except Exception as error:  # python-can's readers raise whatever their parsing meets
         reason = (str(error) or type(error).__name__)[:200]
-        raise InputError(f"{path}: after {len(rows)} frames: {reason}; mend the file or cut it there.") from None
-    return LoggedFrames(rows.rows(), channels.names, counts)
+        place = f"after {len(rows)} frames" if lines is None else f"line {lines.number}: {lines.text.strip()[-60:]!r}"
+        raise InputError(f"{path}: {place}: {reason}; mend the file or cut it there.") from None
+    return replace(frames, rows=rows.rows(), channels=channels.names, lines=rows.lines)
 
 
-def _take(message: can.Message, rows: FrameRows, channels: ChannelNumbers, counts: dict[str, int]) -> None:
+def _take(message: can.Message, rows: FrameRows, channels: ChannelNumbers, frames: LoggedFrames, number: int,
+          lines: NumberedLines | None) -> None:
+    line = lines.use() if lines else 0
+    counts, place = frames.counts, f"line {line}" if line else f"frame {number}"
+    whole, data = min(message.dlc, 8), payload_of(message)
     if message.is_fd or len(message.data or b"") > 8:
         counts["fd_frames"] += 1
     elif not (abs(message.timestamp) < LATEST_S and 0 <= message.arbitration_id <= LAST_IDENTIFIER):
         counts["malformed_frames"] += 1
+        frames.damage.add(place, f"identifier {message.arbitration_id:X} at {message.timestamp:g} s is no frame's; "
+                                 "left out")
+    elif len(data) < whole and not message.is_error_frame:
+        counts["cut_frames"] += 1
+        frames.damage.add(place, f"identifier {message.arbitration_id:03X} has {len(data)} of the {whole} bytes that "
+                                 "its length states; left out")
+    elif lines and lines.hexadecimal and message.data and _HALF_BYTE.match(lines.text):
+        counts["cut_frames"] += 1
+        frames.damage.add(place, f"the last byte of identifier {message.arbitration_id:03X} has one of two digits; "
+                                 "left out")
     else:
         counts["dlc_above_8"] += message.dlc > 8
-        data = payload_of(message)
         rows.add((time_ns_of(message), message.arbitration_id, flags_of(message), len(data),
-                  channels.number(message.channel), not message.is_rx, data))
+                  channels.number(message.channel), not message.is_rx, data), line)
+
+
+def _lacking(frames: LoggedFrames, missing: int, count: int) -> None:
+    """Note the bytes that the end of a BLF file lacks."""
+    frames.counts["missing_bytes"] = max(0, missing)
+    if missing > 0:
+        frames.damage.add(f"after frame {count}", f"{missing} bytes are missing at the end of the file, and the frames "
+                                                  "in them")
 
 
 def write_log(path: Path, blocks: Iterable[NDArray[np.void]]) -> int:

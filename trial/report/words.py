@@ -91,7 +91,7 @@ LABELS: Mapping[str, str] = {
     "stop_reason": "why it stopped", "warning": "warning", "missed_cycles": "control cycles with a missed input",
     "stale_inputs": "stale inputs", "duration_s": "time on the bus",
     "friction_half_width_m": "rope travel to reverse friction at homing", "frames": "CAN frames",
-    "left_out": "left out", "read_as": "read with",
+    "left_out": "left out", "read_as": "read with", "damage": "damaged places",
 }
 """Label of each key that is shown; other keys are folded."""
 FACT_UNITS: Mapping[str, str] = {"peak_n": "N", "period_s": "s", "rate_hz": "Hz", "duration_s": "s",

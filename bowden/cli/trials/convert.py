@@ -76,6 +76,7 @@ def import_(
         *([read_as] if report.read_as else []), f"Trial: {output}",
         *(f"  {name.replace('_', ' ')}: {count}" for name, count in report.counts.items() if count),
         *(f"  left out: {name}" for name in report.left_out),
+        *(f"  {place}" for place in report.damage),
         *(f"Check {signal}: it {question}" for signal, question in report.questions.items()),
         *([f"To use what was left out: bowden import {source} --guess -o map.toml."] if table else [])])
 

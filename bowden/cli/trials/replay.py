@@ -49,7 +49,8 @@ Node = Annotated[list[int] | None, option(
     "bus: frames of this node only, 0 for NMT and SYNC; repeatable.", metavar="NODE")]
 CobId = Annotated[list[str] | None, option(
     "bus: frames with this COB-ID only, such as 0x181; repeatable.", metavar="ID")]
-Direction = Annotated[str | None, option("bus: rx (what the recorder heard) or tx (what it sent).", metavar="WAY")]
+Direction = Annotated[str | None, option(
+    "bus: rx (received by the recorder), tx (sent by it) or both; tx on the simulated bench.", metavar="WAY")]
 Map = Annotated[list[str] | None, option("bus: recorded channel → channel.", "--map", metavar="N=CHANNEL")]
 NodesOnly = Annotated[bool, option("bus: the nodes' frames, answering a live master.", "--nodes-only")]
 Allowed = Annotated[str | None, option(
@@ -84,6 +85,8 @@ def replay(
     if nodes_only:
         return _nodes(given, chosen, reached.bitrate or network.bitrate)
     channels = onto_bus.channel_map(map_)
+    if direction is None and reached.interface is None and not channels:
+        direction = _sent(given)
     selection = Selection(
         frozenset(node or ()), frozenset(map(_cob_id, cob_id or ())), direction, frozenset(channels), from_, to)
     with onto_bus.opened(
@@ -95,6 +98,22 @@ def replay(
             with terminal.progress("replay") as update:
                 playing.run(update)
         return _played(given, playing.played())
+
+
+def _sent(recorded: Trial) -> str:
+    """Return the direction to play onto the simulated bench, whose nodes send their own frames: tx.
+
+    Raises `InputError` if the recorder sent nothing.
+    """
+    frames = recorded.frames
+    if len(frames) and not frames["sent"].any():
+        raise InputError(f"{recorded.path}: holds no frame that its recorder sent, only received ones, and the nodes "
+                         "of the simulated bench send their own; give --interface and --channel of another bus, "
+                         "--nodes-only, or --direction both.")
+    if not terminal.quiet():
+        terminal.remark(f"Plays the {int(frames['sent'].sum())} frames that the recorder sent onto the simulated "
+                        "bench, whose nodes send their own; --direction both plays all.")
+    return "tx"
 
 
 def _controller(recorded: Trial, allowed: str | None) -> CommandAnswer:
