@@ -5,7 +5,7 @@ This module joins the device core to the state machine and the modes; it decides
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 from eds.cia301 import Abort, Emcy, NmtState
 from eds.cia402 import DriveEvent, Mode, State, Stop
@@ -47,7 +47,6 @@ class Drive(ModesOfOperation):
         """Read the units; listen to every writable object of the profile."""
         super().attach(device)
         self.axis = Axis(device.objects.dictionary)
-        self._s, self._g, self._out, self._state = self.axis.s, self.axis.g, self.axis.out, self.axis.state
         entries = device.objects.entries
         self.watched = frozenset(k for k, e in entries.items() if k >= _FIRST_PROFILE_KEY and e.writable)
         self.unstored = frozenset({CONTROLWORD, RELEASE, TARGET_POSITION, TARGET_VELOCITY, TARGET_TORQUE})
@@ -75,7 +74,7 @@ class Drive(ModesOfOperation):
 
     def latch(self, now_ns: int) -> None:
         """Copy position, velocity, torque, errors and statusword into the objects."""
-        law.counts(self._s, self._g, self._out)
+        law.counts(self.axis.s, self.axis.g, self.axis.out)
         self.show_latched()
 
     refresh = latch
@@ -84,7 +83,7 @@ class Drive(ModesOfOperation):
         """Copy position, velocity and torque in counts into their objects."""
         values = self.values
         (values[POSITION], values[VELOCITY], torque, values[POSITION_DEMAND], values[VELOCITY_DEMAND],
-         values[FOLLOWING], values[EFFORT], values[INCREMENTS], flags) = self._out.tolist()
+         values[FOLLOWING], values[EFFORT], values[INCREMENTS], flags) = self.axis.out.tolist()
         values[TORQUE] = values[TORQUE_DEMAND] = values[CURRENT] = torque
         values[STATUSWORD] = self.base | self.mode_bits(flags)
 
@@ -134,8 +133,9 @@ class Drive(ModesOfOperation):
 
     def tick(self, now_ns: int, position: float, velocity: float) -> float:
         """Return the torque demand, N·m at the output, for position and velocity in SI at the axis; 0 when off."""
-        torque: float = law.step(self._s, self._g, now_ns, position, velocity)
-        return self._notice(now_ns) if self._state[law.EVENTS] else torque
+        axis = self.axis
+        torque: float = law.step(axis.s, axis.g, now_ns, position, velocity)
+        return self._notice(now_ns) if axis.state[law.EVENTS] else torque
 
     # ---- what a steady cycle needs ----
 
@@ -147,21 +147,16 @@ class Drive(ModesOfOperation):
     @property
     def steady(self) -> bool:
         """True if a tick changes process values only."""
-        return not self.changed and self.hold_ends_ns is None and not self._state[law.EVENTS]
+        return not self.changed and self.hold_ends_ns is None and not self.axis.state[law.EVENTS]
 
     def steady_words(self) -> list[int]:
         """Return the statusword for each of the axis' flags (`law.IS_…`, 0 … 15), as the state machine is now."""
         return [self.base | self.mode_bits(flags) for flags in range(16)]
 
-    def adopt(self, s: Any, g: Any, out: Any) -> None:
-        """Move the axis' numbers into this memory."""
-        self.axis.adopt(s, g, out)
-        self._s, self._g, self._out, self._state = s, g, out, self.axis.state
-
     def _notice(self, now_ns: int) -> float:
         """Process the events of a tick; return the torque after them."""
-        events = int(self._state[law.EVENTS])
-        self._state[law.EVENTS] = 0.0
+        state = self.axis.state
+        events, state[law.EVENTS] = int(state[law.EVENTS]), 0.0
         self.device.now_ns = now_ns
         for event, code in FAULTS.items():
             if events & event:
@@ -173,7 +168,7 @@ class Drive(ModesOfOperation):
         if events & law.NOT_TIGHT:
             self.not_homed(now_ns)
         self.changed = True
-        return float(self._state[law.TORQUE])
+        return float(state[law.TORQUE])
 
 
 class KneeDrive(Drive):

@@ -26,7 +26,11 @@ HOMING_NS: Final = 100_000_000
 """Duration of a homing run whose method is none of 35 and 37."""
 MODES: Final = frozenset({Mode.NONE, Mode.PROFILE_POSITION, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE, Mode.HOMING,
                           Mode.CSP, Mode.CSV, Mode.CST})
+CONTROLWORD, MODE = key(0x6040), key(0x6060)
+TARGETS: Final = frozenset({key(0x607A), key(0x60FF), key(0x6071)})
+"""Targets of position, velocity and torque."""
 _NEW_SET_POINT, _IMMEDIATE, _RELATIVE = 1 << 4, 1 << 5, 1 << 6
+"""Bits of the controlword in profile position mode (CiA 402-2): new set-point, change set immediately, relative."""
 _SPEED_ZERO = _ACKNOWLEDGED = Status.FOLLOWS_COMMAND
 _RAMP: Final = int(Stop.QUICK_STOP_RAMP)
 """Quick stop option if the EDS has no 0x605A."""
@@ -58,12 +62,11 @@ class GenericDrive(Application):
     def attach(self, device: ProfileHost) -> None:
         """Listen to controlword and mode."""
         super().attach(device)
-        self.watched = frozenset({key(0x6040), key(0x6060), key(0x607A), key(0x60FF), key(0x6071)})
-        self.unstored = frozenset({key(0x6040), key(0x607A), key(0x60FF), key(0x6071)})
+        self.watched, self.unstored = TARGETS | {CONTROLWORD, MODE}, TARGETS | {CONTROLWORD}
 
     def check_write(self, key: int, value: Value) -> int:
         """Refuse a mode that the drive does not have."""
-        if key != 0x606000:
+        if key != MODE:
             return 0
         supported = self.number(0x6502)
         known = value in MODES and (not supported or value == 0 or Mode(int(value)).supported_bit & supported)
@@ -72,9 +75,9 @@ class GenericDrive(Application):
     def written(self, key: int, value: Value, now_ns: int) -> None:
         """Process a command, a mode, or a set-point."""
         self._advance(now_ns)
-        if key == 0x604000:
+        if key == CONTROLWORD:
             self._control(int(value), now_ns)
-        elif key == 0x606000:
+        elif key == MODE:
             self._select(Mode(int(value)) if value in MODES else self.mode)
         self._show(now_ns)
 
@@ -140,8 +143,8 @@ class GenericDrive(Application):
             self._homed = False
             at_once = self.number(0x6098) in (35, 37)
             self._homed_ns = now_ns + (0 if at_once else HOMING_NS)
-        elif self.mode is Mode.HOMING and not word & Control.HOMING_START:
-            self._homed_ns = None if not self._homed else self._homed_ns
+        elif self.mode is Mode.HOMING and not word & Control.HOMING_START and not self._homed:
+            self._homed_ns = None
 
     def _fire(self, event: DriveEvent) -> None:
         row = None if self.state is None and event is not DriveEvent.INITIALISED else STEP.get((self.state, event))
@@ -229,7 +232,7 @@ class GenericDrive(Application):
         if not self._follows:
             return 0.0
         if self.mode is Mode.PROFILE_POSITION and self._goal is not None:
-            way = self._goal - self.position
+            way = self._goal - self.position  # v² = 2·a·s: the speed from which the axis can still stop at its goal
             braking = math.sqrt(2.0 * self._acceleration(True) * abs(way))
             return math.copysign(min(float(self.number(0x6081)) or VELOCITY, max(braking, 1.0)), way)
         if self.mode in (Mode.PROFILE_VELOCITY, Mode.CSV):
@@ -263,15 +266,12 @@ class GenericDrive(Application):
         """Write position, velocity, torque, mode, error and statusword into their objects."""
         follows = self._follows and self.mode in (Mode.CST, Mode.PROFILE_TORQUE)
         self.torque = self._torque() if follows else 0
-        for index in (0x6062, 0x6063, 0x6064):
-            self._put(index, self.position)
-        for index in (0x606B, 0x606C):
-            self._put(index, self.velocity)
-        for index in (0x6074, 0x6077):
-            self._put(index, self.torque)
-        self._put(0x6061, self.mode)
-        self._put(0x603F, self._error)
-        self._put(0x6041, self._statusword())
+        for value, *indices in (
+            (self.position, 0x6062, 0x6063, 0x6064), (self.velocity, 0x606B, 0x606C), (self.torque, 0x6074, 0x6077),
+            (self.mode, 0x6061), (self._error, 0x603F), (self._statusword(), 0x6041),
+        ):
+            for index in indices:
+                self._put(index, value)
 
     def _statusword(self) -> int:
         state = self.state or State.NOT_READY_TO_SWITCH_ON

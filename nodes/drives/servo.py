@@ -65,7 +65,7 @@ class ServoDrive(Drive):
         if raw == NO_TENSION:
             self._feel_nothing(now_ns)
             return
-        tension = feel(self._s, raw)
+        tension = feel(self.axis.s, raw)
         self._no_tension = False
         if tension > self._limit or self._above:
             self._press(tension, now_ns)
@@ -90,7 +90,7 @@ class ServoDrive(Drive):
 
     def _feel_nothing(self, now_ns: int) -> None:
         """React to START's value "not valid" as to a lost START."""
-        self._state[law.TENSION_AGE_S] = math.inf
+        self.axis.state[law.TENSION_AGE_S] = math.inf
         if not self._no_tension:
             self._no_tension = True
             self.disconnected(Emcy.SENSOR_BROKEN, now_ns, announce=True)

@@ -19,7 +19,7 @@ HOLD_TIME, MS_NS = 0x2018, 1_000_000
 POWERED: Final = (
     State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
 _OPTION: Final = MappingProxyType({5: 0x605C, 8: 0x605B})
-"""Transitions that brake first if their option code is 1."""
+"""Rows that brake first if their option code is 1: 0x605C disable operation, 0x605B shutdown (CiA 402-2)."""
 _HOLDING: Final = (Stop.SLOW_DOWN_RAMP_HOLD, Stop.QUICK_STOP_RAMP_HOLD)
 _SLOWLY: Final = (Stop.SLOW_DOWN_RAMP, Stop.SLOW_DOWN_RAMP_HOLD)
 

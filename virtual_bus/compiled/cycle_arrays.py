@@ -95,7 +95,7 @@ class Arrays:
         """Move the state of plant and devices into the records, of which they become views."""
         self._plant.adopt(state["plant"])
         for k, (_, _, drive) in enumerate(self.members[:law.AXES]):
-            cast(Drive, drive).adopt(state["axis"][k], state["setting"][k], state["counted"][k])
+            cast(Drive, drive).axis.adopt(state["axis"][k], state["setting"][k], state["counted"][k])
         for k, gauge in enumerate(self._machine.gauges):
             gauge.sensor.adopt(state["channel"][k])
             gauge.converter.adopt(state["converter"][k], rings[k], table["sensor"][k])
