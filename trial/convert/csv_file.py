@@ -116,11 +116,11 @@ class _Reading:
         self.encoding, self.units_row, self.comma = encoding, 0, False
         every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         marks = (dialect.comment,) if dialect.comment else COMMENTS
-        self.lines = [_Line(row, line) for row, line in enumerate(every, start=1) if line and not line.isspace()]
-        self.comments = [line for line in self.lines if line.text.lstrip().startswith(marks)]
+        self.lines, self.comments = list[_Line](), list[_Line]()
+        for row, line in enumerate(every, start=1):
+            if line and not line.isspace():
+                (self.comments if line.lstrip().startswith(marks) else self.lines).append(_Line(row, line))
         if self.comments:
-            comment_rows = {line.row for line in self.comments}
-            self.lines = [line for line in self.lines if line.row not in comment_rows]
             self.counts["comment_lines"] = len(self.comments)
             self.remarks.append(_many(len(self.comments), "comment line"))
         self.delimiter = dialect.delimiter or _delimiter(self._sample())
@@ -154,20 +154,15 @@ class _Reading:
             names = [f"column {place}" for place in range(1, len(self.cells(body[0].text)) + 1)]
             self.remarks.append("no header, so columns are numbered")
         names, units = self._trimmed(names, units, body)
-        columns = _numbers(self, names, body)
         rows = np.fromiter((line.row for line in body), np.int64, len(body))
-        found = LabTable(self.path, unique(names, reserved), columns.values, units or [""] * len(names), rows,
-                         {}, {}, self.counts, self.remarks, header)
+        found = LabTable(self.path, unique(names, reserved), [], units or [""] * len(names), rows, counts=self.counts,
+                         remarks=self.remarks, header_row=header)
+        self._read_numbers(found, body)
         first = self.comments[0].text.lstrip() if self.comments else "#"
         found.dialect = {
             "encoding": self.encoding, "delimiter": self.delimiter, "decimal": "," if self.comma else ".",
             "comment": self.dialect.comment or next(mark for mark in COMMENTS if first.startswith(mark)),
             "header_row": header, "units_row": self.units_row}
-        found.faults = {found.names[place]: (body[at].row, cell) for place, (at, cell) in columns.faults.items()}
-        for place, begins_ns in columns.begins_ns.items():
-            found.begins_ns[found.names[place]] = begins_ns
-            found.units[place] = "s"
-            self.remarks.append(f"{found.names[place]} is {started(begins_ns)}")
         return found
 
     # ---- the rows above the numbers ----
@@ -265,6 +260,40 @@ class _Reading:
                 body[:] = [_Line(line.row, line.text.rstrip(" ")[:-1]) for line in body]
         return names, units
 
+    # ---- the numbers ----
+
+    def _read_numbers(self, found: LabTable, body: Sequence[_Line]) -> None:
+        """Read every column of the rows into `found`; a row of another length raises `InputError`."""
+        self.comma = self.dialect.decimal == ","
+        if not self.dialect.decimal and self.delimiter != ",":
+            self.comma = any(_COMMA_INSIDE.search(line.text) and any(map(_COMMA_NUMBER.match, self.cells(line.text)))
+                             for line in body)
+        self.remarks += ["decimal comma"] if self.comma else []
+        absolute, marks = list[str](), "marks between thousands"
+        for place, cells in enumerate(zip(*self._rows(body, len(found.names)), strict=True)):
+            name = found.names[place]
+            values, fault = _parsed(cells, self.comma)
+            if fault is not None and _THOUSANDS.match(fault[1]):
+                values, fault = _parsed([_THOUSANDS.sub(lambda number: number[0].replace(number[1], ""), cell)
+                                         for cell in cells], self.comma)
+                self.remarks += [marks] if marks not in self.remarks else []
+            timed = None if fault is None else time_column(cells, UNKNOWN)
+            if timed is not None:
+                values, found.begins_ns[name], found.units[place] = timed.seconds, timed.begins_ns, "s"
+                absolute.append(f"{name} is {started(timed.begins_ns)}")
+            elif fault is not None:
+                found.faults[name] = body[fault[0]].row, fault[1]
+            found.values.append(values)
+        self.remarks += absolute
+
+    def _rows(self, body: Sequence[_Line], width: int) -> Iterable[list[str]]:
+        for line in body:
+            cells = self.cells(line.text)
+            if len(cells) != width:
+                raise InputError(f"{self.path}: row {line.row} has {len(cells)} cells, the header {width}; "
+                                 "mend that row.")
+            yield cells
+
 
 def _many(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
@@ -300,49 +329,6 @@ def _plain_share(cells: Sequence[str], delimiter: str) -> float:
     if delimiter == ",":  # what has a decimal comma is no comma-separated number
         share *= not any(_COMMA_NUMBER.match(cell) for cell in cells[:CELLS])
     return share
-
-
-class _Columns(NamedTuple):
-    values: list[Floats]
-    faults: dict[int, tuple[int, str]]  # by column: place in the rows, and the cell
-    begins_ns: dict[int, int]
-
-
-def _numbers(reading: _Reading, names: Sequence[str], body: Sequence[_Line]) -> _Columns:
-    """Return every column of the rows; a row of another length raises `InputError`."""
-    delimiter, comma = reading.delimiter, reading.dialect.decimal == ","
-    if not reading.dialect.decimal and delimiter != ",":
-        comma = any(_COMMA_INSIDE.search(line.text) and any(map(_COMMA_NUMBER.match, reading.cells(line.text)))
-                    for line in body)
-    reading.comma = comma
-    if comma:
-        reading.remarks.append("decimal comma")
-    rows = _rows(reading, len(names), body)
-    found = _Columns([], {}, {})
-    for place, cells in enumerate(zip(*rows, strict=True)):
-        values, fault = _parsed(cells, comma)
-        if fault is not None and _THOUSANDS.match(fault[1]):
-            values, fault = _parsed([_THOUSANDS.sub(lambda number: number[0].replace(number[1], ""), cell)
-                                     for cell in cells], comma)
-            if "marks between thousands" not in reading.remarks:
-                reading.remarks.append("marks between thousands")
-        if fault is not None:
-            timed = time_column(cells, UNKNOWN)
-            if timed is None:
-                found.faults[place] = fault
-            else:
-                values, found.begins_ns[place] = timed.seconds, timed.begins_ns
-        found.values.append(values)
-    return found
-
-
-def _rows(reading: _Reading, width: int, body: Sequence[_Line]) -> Iterable[list[str]]:
-    for line in body:
-        cells = reading.cells(line.text)
-        if len(cells) != width:
-            raise InputError(f"{reading.path}: row {line.row} has {len(cells)} cells, the header {width}; "
-                             "mend that row.")
-        yield cells
 
 
 _THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}([.,])\d{3}(?:\1\d{3})*(?!\1)[.,]\d+\s*$")
