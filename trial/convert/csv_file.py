@@ -10,7 +10,7 @@ import csv
 import datetime
 import math
 import re
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -277,7 +277,7 @@ class _Reading:
                 values, fault = _parsed([_THOUSANDS.sub(lambda number: number[0].replace(number[1], ""), cell)
                                          for cell in cells], self.comma)
                 self.remarks += [marks] if marks not in self.remarks else []
-            timed = None if fault is None else time_column(cells, UNKNOWN)
+            timed = None if fault is None else time_column(cells)
             if timed is not None:
                 values, found.begins_ns[name], found.units[place] = timed.seconds, timed.begins_ns, "s"
                 absolute.append(f"{name} is {started(timed.begins_ns)}")
@@ -396,12 +396,12 @@ def started(begins_ns: int) -> str:
     return f"absolute, from {at.isoformat()}.{rest // 1000:06d} on"
 
 
-def time_column(cells: Sequence[str], unknown: Container[str]) -> TimeColumn | None:
+def time_column(cells: Sequence[str]) -> TimeColumn | None:
     """Return a column's times; None if a cell is not a time."""
     found: list[int | None] = []
     days, before, dated = 0, -1, True
     for cell in cells:
-        if cell.strip().lower() in unknown:
+        if cell.strip().lower() in UNKNOWN:
             found.append(None)
             continue
         at = _absolute(cell)

@@ -89,13 +89,11 @@ def read_map(path: Path) -> Map:
 
 
 def read(path: Path, mapped: Mapping[str, SignalSource] | None = None) -> Columns:
-    """Read a table; `mapped` gives the sources of signals that do not have their own names in the file."""
-    return columns_of(sheet_of(path, getattr(mapped, "dialect", None)), mapped)
+    """Read the signals of a table; `mapped` gives the sources of those that do not have their own names in the file.
 
-
-def columns_of(sheet: LabTable, mapped: Mapping[str, SignalSource] | None = None) -> Columns:
-    """Take signals out of a sheet; raises `InputError` without time, for units that do not fit and bad cells."""
-    path = sheet.path
+    Raises `InputError` without time, for units that do not fit and bad cells.
+    """
+    sheet = sheet_of(path, getattr(mapped, "dialect", None))
     sources = dict(_canonical(sheet, mapped)) | dict(mapped or {})
     columns: dict[str, Floats] = {}
     for signal, source in sources.items():
