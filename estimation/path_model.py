@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from estimation import likelihood_data, outputs
 from estimation.data import integrity, scales, windows
-from estimation.data.table import Table
+from estimation.data.table import Table, with_locked_knee
 from estimation.forward_model import ForwardModel
 from estimation.likelihood_data import GRID_S, SIGNALS, TAUT_N, PathRecording
 from parameters import InputError
@@ -184,15 +184,23 @@ PATH_MODEL: Final = PathModel()
 def usable_table(path: Path, force_path: str | None, motion: Sequence[str] = ()) -> Table:
     """Read the table of a trial and return it without the columns that a fit cannot use, such as a constant one.
 
-    `force_path` selects one path of a bench that has several; columns in `motion` may be constant. Raises `InputError`
-    if columns contradict each other, or if a needed one is missing.
+    `force_path` selects one path of a bench that has several; columns in `motion` may be constant. Without a knee angle
+    the knee is locked if the trial can be of a bench. Raises `InputError` if columns contradict each other, or if a
+    needed one is missing.
     """
     given = windows.read(path, force_path)
     refused = [f.text for f in (*integrity.examine(given), *scales.contradictions(given)) if f.refuses]
     if refused:
         raise InputError(refused[0])
     plain = integrity.usable(given, motion)
-    if missing := PATH_MODEL.lacking(plain):
+    if "knee_angle_rad" not in plain and can_be_of_bench([plain]):
+        plain = with_locked_knee(plain)
+    missing = PATH_MODEL.lacking(plain)
+    if missing == ["knee_angle_rad"]:
+        raise InputError(f"{path}: has no column knee_angle_rad, and START and END without a knee are of a cable or a "
+                         "seal, which this model cannot follow; record the angle, or compare a rig of another kind by "
+                         "bowden diagnose --healthy.")
+    if missing:
         raise InputError(f"{path}: has no column {', '.join(missing)}; record it, or compare a rig of another kind by "
                          "bowden diagnose --healthy.")
     return plain

@@ -162,6 +162,36 @@ def test_lab_data_without_what_a_fit_needs_are_kept_with_the_reason(here: Path, 
     assert re.search(r"[{}]|\d\.\d{4}", out) is None, out
 
 
+def rope(path: Path, phase: float, *columns: str) -> None:
+    """Write a table of a rope pulled against a spring with friction, knee locked, with `columns` beside time."""
+    time = np.arange(0, 12, 0.005)
+    position = 0.01 + 0.01 * np.sin(np.pi * time + phase)
+    start = 20 + 2500 * position + 4 * np.sign(np.cos(np.pi * time + phase))
+    noise = np.random.default_rng(round(1000 * phase)).normal(0, 0.05, (2, len(time)))
+    every = {"servo_position_m": position, "tension_start_n": start + noise[0], "tension_end_n": 0.6 * start + noise[1]}
+    np.savetxt(path, np.column_stack([time, *(every[name] for name in columns)]), delimiter=",", comments="",
+               header=",".join(("time_s", *columns)))
+
+
+def test_a_rope_with_a_locked_knee_is_followed_without_the_angle(here: Path, bowden: Callable[..., Any]) -> None:
+    told(bowden, "logbook", "init", "book")
+    for k in range(2):
+        rope(Path(f"{k}.csv"), 0.3 * k, "servo_position_m", "tension_start_n")
+        added = told(bowden, "logbook", "add", "book", f"{k}.csv", "--session", f"day {k}")["added"][0]
+        assert added["estimated"], added
+
+
+def test_a_rig_without_a_knee_is_kept_with_the_reason_why_it_is_not_followed(
+    here: Path, bowden: Callable[..., Any]
+) -> None:
+    told(bowden, "logbook", "init", "book")
+    rope(Path("rig.csv"), 0.1, "servo_position_m", "tension_start_n", "tension_end_n")
+    status, out, err = bowden("logbook", "add", "book", "rig.csv", "--session", "monday")
+    assert (status, err) == (0, "")
+    assert "not fitted: has no column knee_angle_rad, and START and END without a knee are of a cable or a seal" in out
+    assert "bowden diagnose --healthy" in out
+
+
 ENTER = """
 import sys
 from pathlib import Path
