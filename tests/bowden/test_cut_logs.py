@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -115,3 +116,18 @@ def test_of_many_cut_frames_the_first_are_listed_and_the_others_counted(bowden: 
     Path("a.asc").write_text("".join(line.replace(" 52 00 00 F6 FF", "").replace(" 34 56 78", "") for line in lines))
     damage = json.loads(bowden("import", "a.asc", "-o", "b.mcap", "--json").stdout)["damage"]
     assert damage[-1] == "and 20 more such places"
+
+
+@pytest.mark.parametrize(("name", "keep"), [("a.asc", "d 8 37 12"), ("a.trc", "8    37 12 9D")])
+def test_monitor_remarks_a_cut_frame(bowden: Run, here: Path, name: str, keep: str) -> None:
+    cut(Path(name), keep, last=False)
+    told = bowden("monitor", name)
+    assert (told.status, told.stderr.count("\n")) == (0, 1), told.stderr
+    assert re.search(rf"{name}: frame \d+, 181, is cut: it has [23] of 8 bytes", told.stderr)
+
+
+def test_monitor_shows_the_frames_before_a_line_that_cannot_be_read(bowden: Run, here: Path) -> None:
+    cut(Path("a.trc"), "8    37 1", last=False)
+    told = bowden("monitor", "a.trc")
+    assert told.status == 2
+    assert re.search(r"a.trc: after frame \d+: .*; mend the file or cut it there\.", told.stderr)

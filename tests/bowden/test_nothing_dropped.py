@@ -215,3 +215,14 @@ def test_a_table_in_a_trial_s_place_comes_with_the_import(here: Path, bowden: Co
     np.savetxt("lab.csv", TIME, header="time_s", comments="")
     assert bowden("report", "lab.csv", "-o", "a.html")[2] == (
         "bowden: lab.csv: not an MCAP file; give a recorded trial, or make one: bowden import lab.csv -o trial.mcap.\n")
+
+
+def test_a_turning_axis_is_not_taken_for_a_rope(here: Path, bowden: Command) -> None:
+    np.savetxt(here / "axis.csv", np.column_stack([TIME, np.sin(TIME), np.cos(TIME), 30 + TIME]), delimiter=",",
+               comments="", header="time_s,servo_position_rad,servo_torque_nm,motor temperature")
+    status, out, _ = bowden("import", "axis.csv", "--guess", "-o", "map.toml")
+    assert (status, set(tomllib.loads((here / "map.toml").read_text()))) == (0, {"time_s"})
+    assert out.count("turning axis") == 2
+    assert "'motor temperature': its name and unit fit no signal" in " ".join(out.split())
+    status, out, _ = bowden("import", "axis.csv", "-o", "axis.mcap")
+    assert (status, "bowden diagnose and fit read the table itself" in out) == (0, True)

@@ -113,7 +113,7 @@ def read(path: Path, mapped: Mapping[str, SignalSource] | None = None) -> Column
     return Columns(
         columns, {"rows": len(sheet), "unknown_values": unknown, **sheet.counts},
         [*(name + (f" (row {sheet.faults[name][0]} has no number: {sheet.faults[name][1]!r})"
-                   if reserved(name) and name in sheet.faults else "")
+                   if reserved(name) and name in sheet.faults else f" ({OF_AXIS})" if AXIS.fullmatch(name) else "")
            for name in sheet.names if name not in sources_used),
          *(f"{name} ({why})" for name, why in sheet.left_out.items())], sheet.rows, sheet.remarks,
         sheet.begins_ns.get(sources["time_s"].column), _questions(columns))
@@ -174,6 +174,11 @@ TIME = _words("time t timestamp zeit clock elapsed seconds sec temps tiempo shij
 PERCENT = _words("gait phase percent pct gang")
 COUNT = _words("cycle cycles stride rep repetition zyklus step ciclo zhouqi")
 ACCELERATION = _words("acc accel acceleration beschleunigung imu")
+OTHERS = _words("torque drehmoment couple nm strom ampere voltage volt temperature temperatur power leistung pwm")
+"""Quantities that no signal of a bench has: without a unit in brackets such a column is no rope's position."""
+AXIS = re.compile(r"(?:.+\.)?(?:servo_(?:position|target)_rad|servo_velocity_rad_s|servo_torque_nm|motor_voltage_v)")
+"""Columns of a turning axis (docs/rigs.md), which a trial does not record."""
+OF_AXIS = "of a turning axis, which a trial does not record; bowden diagnose and fit read the table itself"
 
 LEAST = {"N": 0.5}
 """Smallest range of a signal that is not questioned where no unit is stated, by unit: kN of a rope bench are below."""
@@ -268,6 +273,8 @@ def unassigned(sheet: LabTable, found: Sequence[Guess]) -> list[Unassigned]:
         if name in sheet.faults:
             why = "row {} has no number: {!r}".format(*sheet.faults[name]) + (
                 ", nor a time as 2026-05-13 09:00:00.000" if ":" in sheet.faults[name][1] else "")
+        elif AXIS.fullmatch(name):
+            why = OF_AXIS
         elif stated and not unit_of(stated):
             why = f"its unit {stated!r} is not known: give a unit that is, and scale"
         elif fits:
@@ -313,6 +320,8 @@ def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
     if unit and TO_SI[unit][0] != si and not (unit == "ns" and si == "s"):
         return None
     words = _tokens(bare)
+    if not unit and words & OTHERS and name != signal:
+        return None
     if unit in ("g", "mg") and words & ACCELERATION:
         return None
     words |= {"force"} if unit and TO_SI[unit][0] == "N" else set()

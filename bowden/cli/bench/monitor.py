@@ -167,17 +167,25 @@ def _of_candump(lines: Iterable[str], name: str) -> Iterator[MonitoredFrame]:
 
 def _of_log(source: Path) -> Iterator[MonitoredFrame]:
     """Yield the frames of a file that python-can reads."""
+    count = 0
     try:
         reader = can.LogReader(source)
         try:
-            yield from map(_of_message, reader)
+            for count, message in enumerate(reader, 1):
+                if len(message.data or b"") < min(message.dlc, 8) and not (
+                        message.is_remote_frame or message.is_error_frame):
+                    terminal.remark(f"{source}: frame {count}, {message.arbitration_id:03X}, is cut: it has "
+                                    f"{len(message.data or b'')} of {message.dlc} bytes.")
+                yield _of_message(message)
             if (missing := getattr(reader, "file_size", 0) - source.stat().st_size) > 0:  # of a BLF file, by its header
                 terminal.remark(f"{source}: {missing} bytes are missing at its end; these are the frames before them.")
         finally:
             reader.stop()
     except InputError:
         raise
-    except (can.CanError, OSError, ValueError, EOFError, KeyError, IndexError):
+    except (can.CanError, OSError, ValueError, EOFError, KeyError, IndexError) as error:
+        if count:
+            raise InputError(f"{source}: after frame {count}: {error}; mend the file or cut it there.") from None
         raise InputError(f"{source}: is no CAN log of its ending; give .mcap, .log, .asc or .blf.") from None
 
 
