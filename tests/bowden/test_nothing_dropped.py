@@ -226,3 +226,11 @@ def test_a_turning_axis_is_not_taken_for_a_rope(here: Path, bowden: Command) -> 
     assert "'motor temperature': its name and unit fit no signal" in " ".join(out.split())
     status, out, _ = bowden("import", "axis.csv", "-o", "axis.mcap")
     assert (status, "bowden diagnose and fit read the table itself" in out) == (0, True)
+
+
+def test_a_column_without_any_value_is_named(here: Path, bowden: Command) -> None:
+    (here / "lab.csv").write_text("time_s,tension_start_n,tension_end_n\n" + "".join(
+        f"{k / 100},,{10 + k % 7}\n" for k in range(ROWS)))
+    status, out, _ = bowden("import", "lab.csv", "-o", "lab.mcap")
+    assert (status, "Check tension_start_n: it has no value in any row" in out) == (0, True), out
+    assert "Check tension_end_n" not in out

@@ -125,6 +125,7 @@ def _questions(columns: Mapping[str, Floats], slow_s: float = 0.5) -> dict[str, 
     slow = {"time_s": f"advances {usual:.4g} s a row, so that motion is not seen: is it in milliseconds?"}
     asked = {name: _question(UNITS[name], UNITS[name], True, values[np.isfinite(values)])
              for name, values in columns.items() if UNITS[name] in MOST and np.isfinite(values).any()}
+    asked |= {name: "has no value in any row" for name, values in columns.items() if not np.isfinite(values).any()}
     return {name: question for name, question in ((slow if usual > slow_s else {}) | asked).items() if question}
 
 
