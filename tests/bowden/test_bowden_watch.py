@@ -48,6 +48,16 @@ def test_a_refused_whole_has_its_reason(place: Path, bowden: Callable[..., Any])
     assert out.splitlines()[-1].endswith("; a healthy trial must be another one.")
 
 
+@pytest.mark.slow
+def test_a_torn_recording_is_said_not_to_grow(place: Path, bowden: Callable[..., Any]) -> None:
+    torn = place / "torn.mcap"
+    torn.write_bytes((place / "good.mcap").read_bytes()[:200_000])
+    status, _, err = bowden("watch", torn, "--healthy", place / "good.mcap", "--for", 9)
+    assert status == 0
+    assert err.count("torn.mcap: does not grow") == 1
+    assert f"bowden recover {torn} -o FILE" in err
+
+
 @pytest.mark.exhaustive
 @pytest.mark.xfail(strict=True, reason="dated to the fourth cycle since decision 50; it acts from the first")
 def test_the_diagnosis_after_the_last_cycle_is_that_of_the_file(place: Path, bowden: Callable[..., Any]) -> None:

@@ -91,7 +91,7 @@ def test_onto_the_simulated_bench_go_the_frames_that_the_recorder_sent(
 
 
 def test_a_log_that_was_only_listened_to_is_refused_onto_the_simulated_bench(
-    bowden: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    recorded: Callable[..., Trial], bowden: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("a.log").write_text("".join(f"({k / 1000:.6f}) can0 181#3712000000000000\n" for k in range(1, 50)))
@@ -99,6 +99,9 @@ def test_a_log_that_was_only_listened_to_is_refused_onto_the_simulated_bench(
     told = bowden("replay", "a.mcap", "--onto", "bus")
     assert (told.status, told.stdout, told.stderr.count("\n")) == (2, "", 1), told
     assert "a.mcap: holds no frame that its recorder sent" in told.stderr
+    trial = recorded()
+    told = bowden("replay", trial.path, "--onto", "bus", "--cob-id", "0x7ff")
+    assert (told.status, told.stdout, told.stderr.count("\n")) == (2, "", 1), told
 
 
 def test_channels_are_mapped(

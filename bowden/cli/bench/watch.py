@@ -114,6 +114,8 @@ Book = Annotated[Path | None, option(
     "Logbook of the bench, in place of --healthy and for the scatter between sessions.", metavar="DIR")]
 LOOK_S = 0.1
 """Time between two looks at the file, s."""
+STILL_LOOKS = 50
+"""Looks after which the user is told that a file does not grow: a recording that was cut off never will."""
 
 
 @app.command()
@@ -143,7 +145,7 @@ def _file(trial: Path, bench: WatchedBench, seconds: float | None) -> CommandAns
     with terminal.fitting("fitting the reference trials"):
         watched = file_watch.FileWatch(trial, bench)
     cycles = []
-    for verdict in _looked(watched, over):
+    for verdict in _looked(watched, over, trial):
         cycles.append(verdict.as_json())
         if not terminal.quiet():
             print(watched.told(verdict), flush=True)
@@ -154,10 +156,16 @@ def _file(trial: Path, bench: WatchedBench, seconds: float | None) -> CommandAns
     return _answer(result)
 
 
-def _looked(watched: FileWatch, ended: Callable[[], bool]) -> Iterator[WatchVerdict]:
-    """Yield each suspicion until the file is closed or the time is over."""
+def _looked(watched: FileWatch, ended: Callable[[], bool], trial: Path) -> Iterator[WatchVerdict]:
+    """Yield each suspicion until the file is closed or the time is over; remark if it does not grow."""
+    still, size = 0, -1
     while not watched.closed and not ended():
         yield from watched.look()
+        before, size = size, trial.stat().st_size if trial.exists() else 0
+        still = still + 1 if size == before else 0
+        if still == STILL_LOOKS:
+            terminal.remark(f"{trial}: does not grow; if nothing writes it, end the watch by Ctrl-C and say bowden "
+                            f"recover {trial} -o FILE.")
         if not watched.closed:
             time.sleep(LOOK_S)
     yield from watched.look(last=True)

@@ -85,13 +85,17 @@ def replay(
     if nodes_only:
         return _nodes(given, chosen, reached.bitrate or network.bitrate)
     channels = onto_bus.channel_map(map_)
-    if direction is None and reached.interface is None and not channels:
+    by_default = direction is None and reached.interface is None and not channels
+    if by_default:
         direction = _sent(given)
     selection = Selection(
         frozenset(node or ()), frozenset(map(_cob_id, cob_id or ())), direction, frozenset(channels), from_, to)
     with onto_bus.opened(
             given, selection, buses.rated(chosen, reached.bitrate or network.bitrate, network), channels,
             speed=speed, loops=loop) as playing:
+        if by_default and not terminal.quiet():
+            terminal.remark("Plays what the recorder sent onto the simulated bench, whose nodes send their own frames; "
+                            "--direction both plays all.")
         if step:
             _step(playing)
         else:
@@ -110,9 +114,6 @@ def _sent(recorded: Trial) -> str:
         raise InputError(f"{recorded.path}: holds no frame that its recorder sent, only received ones, and the nodes "
                          "of the simulated bench send their own; give --interface and --channel of another bus, "
                          "--nodes-only, or --direction both.")
-    if not terminal.quiet():
-        terminal.remark(f"Plays the {int(frames['sent'].sum())} frames that the recorder sent onto the simulated "
-                        "bench, whose nodes send their own; --direction both plays all.")
     return "tx"
 
 
