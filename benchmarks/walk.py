@@ -72,6 +72,20 @@ def _controller() -> None:
     Path("own.py").write_text(CONTROLLER, encoding="utf-8")
 
 
+def _worn() -> None:
+    Path("worn.right.toml").write_text("[effects.presliding]\npresliding = 3e-4\n", encoding="utf-8")
+
+
+def _cut_logs() -> None:
+    """Write CAN logs in which the payload of a servo PDO is cut, and one in which a line cannot be read."""
+    whole = "   {:.6f} 1  181             Rx   d 8 37 12 9D 52 00 00 F6 FF"
+    lines = ["date Sat Nov 28 12:00:00.000 2026", "base hex  timestamps absolute", "internal events logged",
+             *(whole.format(0.1 + k / 1000) for k in range(20))]
+    Path("short.asc").write_text("\n".join([*lines, whole.format(0.2)[:-12], ""]), encoding="utf-8")
+    Path("broken.asc").write_text("\n".join([*lines, whole.format(0.2)[:-26], ""]), encoding="utf-8")
+    Path("short.log").write_text("(1.000000) can0 181#37129D520000F6FF\n(1.001000) can0 181#3712", encoding="utf-8")
+
+
 def _axis() -> None:
     """Write three recordings of an axis without rope and knee; its viscous friction has grown in the third."""
     for name, viscous, other in (("good", 0.05, 1.0), ("good2", 0.05, 1.3), ("worn", 0.12, 1.0)):
@@ -101,17 +115,21 @@ USERS: Final[dict[str, tuple[Callable[[], None], tuple[Typed, ...]]]] = {
         Typed("sweep --grid controller=own.py:Own,none --grid controller.share=0.95,1.05 --grid cycles=1 "
               "--grid settle=0 --workers 1 -o sweep.csv"), Typed("compare sweep.csv --controllers"),
         Typed(LONG_SWEEP, 130, ctrl_c="long.csv"), Typed(LONG_SWEEP))),
-    "can": (lambda: None, (
+    "can": (_cut_logs, (
         Typed("node scan", success=True), Typed("node read 1 0x1018:1"), Typed("node scna", 2),
-        Typed(f"trial {SHORT} -o bus.mcap"), Typed("export bus.mcap -o bus.log"), Typed("info bus.log"))),
+        Typed(f"trial {SHORT} -o bus.mcap"), Typed("export bus.mcap -o bus.log"), Typed("info bus.log"),
+        Typed("replay bus.mcap --onto bus"), Typed("import short.asc -o short.mcap"),
+        Typed("monitor short.asc --table"),
+        Typed("import broken.asc -o broken.mcap", 2), Typed("import short.log -o log.mcap"))),
     "months": (lambda: None, (
         Typed("logbook init leg"), Typed(f"trial {SHORT} --day 0 --logbook leg -o 0.mcap"),
         Typed(f"trial {SHORT} --day 1 --logbook leg -o 1.mcap", success=True), Typed("logbook show leg"),
         Typed("logbook report leg -o leg.html"))),
-    "bench": (lambda: None, (
+    "bench": (_worn, (
         Typed("init --shape bench_two_legs -o bench.toml"), Typed("check config bench.toml"),
         Typed(f"trial --config bench.toml {SHORT} -o legs.mcap", success=True),
-        Typed("report legs.mcap -o legs.html"), Typed("diagnose legs.mcap", 2))),
+        Typed("report legs.mcap -o legs.html"), Typed("diagnose legs.mcap", 2),
+        Typed(f"verify worn.toml --path right --config bench.toml {SHORT} -o verified.mcap"))),
     "rig": (_axis, (
         Typed("info worn.csv"), Typed("diagnose worn.csv", 2),
         Typed("diagnose worn.csv --healthy good.csv --healthy good2.csv --report worn.html", success=True),
