@@ -43,9 +43,9 @@ def cut(path: Path, keep: str, *, last: bool) -> int:
     ("a.log", "#37129", "181#37129' is no whole frame; left out"),
     ("a.asc", "d 8 37 12", "identifier 181 has 2 of the 8 bytes that its length states; left out"),
     ("a.asc", "d 8 37 12 9D 52 00 00 F6 F", "the last byte of identifier 181 has one of two digits; left out"),
-    ("a.asc", "  181", "181' is no whole frame; left out"),
+    ("a.asc", "  181", "181' is not read as a frame; left out"),
     ("a.trc", "8    37 12 9D", "identifier 181 has 3 of the 8 bytes that its length states; left out"),
-    ("a.trc", " DT ", "DT' is no whole frame; left out")])
+    ("a.trc", " DT ", "DT' is not read as a frame; left out")])
 def test_a_cut_frame_is_listed_by_its_line(
         bowden: Run, here: Path, name: str, keep: str, listed: str, last: bool) -> None:
     line = cut(Path(name), keep, last=last)
@@ -131,3 +131,18 @@ def test_monitor_shows_the_frames_before_a_line_that_cannot_be_read(bowden: Run,
     told = bowden("monitor", "a.trc")
     assert told.status == 2
     assert re.search(r"a.trc: after frame \d+: .*; mend the file or cut it there\.", told.stderr)
+
+
+def test_bytes_that_a_logger_writes_with_one_digit_are_kept(bowden: Run, here: Path) -> None:
+    Path("a.asc").write_text("base hex  timestamps absolute\ninternal events logged\n"
+                             " 0.1 1  181  Rx   d 8 1 2 3 4 5 6 7 8\n")
+    result = json.loads(bowden("import", "a.asc", "-o", "a.mcap", "--json").stdout)
+    assert (result["counts"]["frames"], result["damage"]) == (1, [])
+
+
+def test_a_log_of_cut_frames_alone_is_refused_with_the_first(bowden: Run, here: Path) -> None:
+    Path("a.asc").write_text("base hex  timestamps absolute\ninternal events logged\n 0.1 1  181  Rx   d 8 37 12\n")
+    told = bowden("import", "a.asc", "-o", "a.mcap")
+    assert (told.status, told.stderr) == (2, (
+        "bowden: a.asc: holds no whole CAN frame (line 3: identifier 181 has 2 of the 8 bytes that its length states; "
+        "left out); give a log that is not cut.\n"))

@@ -238,6 +238,8 @@ def _from_log(source: Path, frames: LoggedFrames, report: ImportReport, wire: Wi
         if fd_frames:
             raise InputError(f"{source}: holds {fd_frames} CAN FD frame{'s' if fd_frames > 1 else ''} and no classical "
                              "one; a bench and its trials are of classical CAN, give such a log.")
+        if damage := frames.damage.sentences:
+            raise InputError(f"{source}: holds no whole CAN frame ({damage[0]}); give a log that is not cut.")
         raise InputError(f"{source}: holds no CAN frame; give a log in the format that its ending names.")
     return _from_frames(source, frames, report, wire)
 

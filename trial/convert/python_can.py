@@ -167,7 +167,8 @@ _EVENT = {
     ".csv": re.compile(r".*"),
 }
 """Lines of a text log, by ending, that python-can passes over and that are no frame: headers, comments, bus states."""
-_HALF_BYTE = re.compile(r"[^=]*\s[0-9A-Fa-f]\s*$")
+_HALF_BYTE = re.compile(r".*\s(?:d|[RT]x\s+[0-9A-Fa-f]+(?:\s+-)?)\s+\d+(?:\s+[0-9A-Fa-f]{2})*\s+[0-9A-Fa-f]\s*$")
+"""Line of a frame whose last byte has one digit where those before it have two."""
 _DECIMAL = re.compile(r"\s*base\s+dec", re.IGNORECASE)
 
 
@@ -200,7 +201,7 @@ class NumberedLines(io.TextIOWrapper):
         """Note the damage if the line last read is of a frame that python-can passed over."""
         if not self._used and not _EVENT[self._ending].match(self.text):
             self.lost += 1
-            self._damage.add(f"line {self.number}", f"{self.text.strip()[-60:]!r} is no whole frame; left out")
+            self._damage.add(f"line {self.number}", f"{self.text.strip()[-60:]!r} is not read as a frame; left out")
         self._used = True
 
 
