@@ -167,7 +167,9 @@ def _screen(found: TrialModes, offered: Mapping[str, tuple[Variant, ...]], base:
     for _, name, variant, sizes in sorted(rated, key=lambda r: -r[0])[:most]:
         fitted = _fit(found, [variant], begun(base, variant, sizes))
         _keep(found, name, variant, fitted)
-        if fitted is None or fitted.cost > found.null.cost:  # an effect contains the null, so that this is no mode
+        if fitted is None or fitted.cost > found.null.cost:
+            # an effect contains the null, so that this is no mode; a variant that sets no constant has the null's own
+            variant = next((v for v in offered[name] if not v.at), variant)
             _keep(found, name, variant, _fit(found, [variant], begun(found.null, variant)))
 
 

@@ -71,9 +71,11 @@ def _creeps(values: Values) -> tuple[Variant, ...]:
 
 
 def _sticks(values: Values) -> tuple[Variant, ...]:
-    # of cable and fabric apart: a variant's speed is that of both, and reference trials may need another one of either
+    # of cable and fabric apart: a variant's speed is that of both, and reference trials may need another one of either;
+    # a bench that hardly sticks in its reference condition determines neither speed nor lag of its Stribeck curve
     return tuple(_frees(({"breakaway": 1.0}, 0.8), ({"fabric_breakaway": 1.0}, 0.8), ({"stribeck_speed": 1.0}, 0.8),
-                        at={"stribeck_speed": speed}) for speed in (0.006, 0.02))
+                        ({"stribeck_memory": 1.0}, 0.6), at=at)
+                 for at in ({}, {"stribeck_speed": 0.006}, {"stribeck_speed": 0.02}))
 
 
 def _runs_out(values: Values) -> tuple[Variant, ...]:
@@ -82,9 +84,10 @@ def _runs_out(values: Values) -> tuple[Variant, ...]:
 
 
 def _yields(values: Values) -> tuple[Variant, ...]:
-    both = _frees(({"cable_travel": 1.0, "fabric_travel": 1.0}, 1.0),
-                  ({"cable_travel": 1.0, "fabric_travel": -1.0}, 0.4))
-    return both, _frees(({"cable_travel": 1.0}, 1.0)), _frees(({"fabric_travel": 1.0}, 1.0))
+    both = (({"cable_travel": 1.0, "fabric_travel": 1.0}, 1.0), ({"cable_travel": 1.0, "fabric_travel": -1.0}, 0.4))
+    # over another travel friction lags the sliding speed by another time, and is full at another speed, too
+    return (_frees(*both), _frees(*both, ({"stribeck_memory": 1.0}, 0.4), ({"stribeck_speed": 1.0}, 0.4)),
+            _frees(({"cable_travel": 1.0}, 1.0)), _frees(({"fabric_travel": 1.0}, 1.0)))
 
 
 def _curves(values: Values) -> tuple[Variant, ...]:
@@ -115,7 +118,8 @@ HYPOTHESES: Final[Mapping[str, Hypothesis]] = {
             "viscous": lambda v, b: v["viscous"] + v["drag"]}),
     "stribeck": Hypothesis(FRICTION, _sticks, {
                 "stribeck_ratio": lambda v, b: 1.0 + 0.5 * (v["breakaway"] + v["fabric_breakaway"]),
-                "stribeck_speed": lambda v, b: v["stribeck_speed"]}),
+                "stribeck_speed": lambda v, b: v["stribeck_speed"],
+                "stribeck_memory": lambda v, b: v["stribeck_memory"]}),
     "presliding": Hypothesis(FRICTION, _yields, {
             "presliding": lambda v, b: PRESLIDING * math.sqrt(v["cable_travel"] * v["fabric_travel"])}),
     "friction_drift": _one(FRICTION, "friction_drift", 0.5),
