@@ -65,12 +65,12 @@ CREATE TABLE estimate (
     trial INTEGER PRIMARY KEY REFERENCES trial(id), reference INTEGER REFERENCES reference(id), remark TEXT NOT NULL,
     square BLOB, pull BLOB, growth BLOB, rmse_n REAL);
 """, ";".join(renamed_in_sql(*place) for place in (("reference", "constants"), ("note", "resets"))),
-    "DELETE FROM estimate", "DELETE FROM cause; DELETE FROM estimate; DELETE FROM reference")
+    "DELETE FROM estimate", "DELETE FROM cause; DELETE FROM estimate; DELETE FROM reference", "DELETE FROM estimate")
 """SQL of each version of the schema, applied to the one before it; `PRAGMA user_version` counts them.
 
-The fourth, the sixth and the seventh drop estimates of single trials, which a later `add` makes anew from the files:
+The fourth and those from the sixth on drop estimates of single trials, which a later `add` makes anew from the files:
 the sixth since effects have secants, too, the seventh, with the references, since friction is distributed (decision
-50).  The fifth renames constants."""
+50), the eighth since effects free more constants (decision 52).  The fifth renames constants."""
 
 
 class TrialEntry(NamedTuple):

@@ -32,6 +32,15 @@ def test_a_change_within_the_trial_is_named_on_a_rig_of_another_structure() -> N
 
 
 @pytest.mark.exhaustive
+@pytest.mark.parametrize(("hidden", "seed", "effect"), [
+    ("presl", 7506, "presliding"),  # with its lag left to the session 9.7 nats
+    ("strib", 7416, "stribeck")])  # its fits from another Stribeck speed ended below the null
+def test_a_change_of_the_friction_curve_is_named_on_a_rig_of_another_structure(
+        hidden: str, seed: int, effect: str) -> None:
+    assert truths_run.answer(Question("truth1", (hidden,), seed)).named[0] == effect
+
+
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("structure", "hidden", "seed"), [
     ("truth1", "null_alt", 1021),
     ("truth1", "null_alt", 6711),  # zeros that wander: fabric_creep had 18 nats
