@@ -13,7 +13,7 @@ from diagnosis.findings import Findings
 from parameters import InputError
 
 
-class Reference(NamedTuple):
+class ReferenceCondition(NamedTuple):
     """Reference condition of several diagnoses: calibration, reference trials, and cut-off of a low-pass, Hz."""
 
     calibration: Path | None
@@ -26,7 +26,7 @@ class Reference(NamedTuple):
         return tuple((status.st_size, status.st_mtime_ns) for status in (path.stat() for path in files))
 
 
-def diagnose_each(trials: Sequence[Path], holdout: Sequence[Path], reference: Reference, workers: Workers,
+def diagnose_each(trials: Sequence[Path], holdout: Sequence[Path], reference: ReferenceCondition, workers: Workers,
                   update: Callable[[float], None]) -> dict[str, Mapping[str, Any]]:
     """Diagnose every trial for itself; the order is that of `trials`. `update` receives the share done.
 
@@ -44,7 +44,7 @@ def diagnose_each(trials: Sequence[Path], holdout: Sequence[Path], reference: Re
     return {str(trial): results[trial] for trial in trials}
 
 
-def diagnose(trial: Path, holdout: Sequence[Path], reference: Reference) -> dict[str, Any]:
+def diagnose(trial: Path, holdout: Sequence[Path], reference: ReferenceCondition) -> dict[str, Any]:
     """Return one trial's diagnosis as `bowden diagnose --json` gives it."""
     try:
         found = _fitted(reference, reference.state()).diagnose(trial, holdout)
@@ -53,11 +53,11 @@ def diagnose(trial: Path, holdout: Sequence[Path], reference: Reference) -> dict
         return _refused(reference, str(error))
 
 
-def _refused(reference: Reference, reason: str) -> dict[str, Any]:
+def _refused(reference: ReferenceCondition, reason: str) -> dict[str, Any]:
     return Findings("refused", warnings=[reason], lowpass_hz=reference.lowpass_hz).as_json() | {"seconds": 0.0}
 
 
 @lru_cache(maxsize=1)
-def _fitted(reference: Reference, state: tuple[tuple[int, int], ...]) -> Diagnosis:
+def _fitted(reference: ReferenceCondition, state: tuple[tuple[int, int], ...]) -> Diagnosis:
     """Return the fitted diagnosis: its reference trials are read and fitted once in a process."""
     return Diagnosis(reference.calibration, lowpass_hz=reference.lowpass_hz).fit(reference.trials)

@@ -19,7 +19,7 @@ import pytest
 
 from bowden.bench import configuration
 from bowden.cli.trials import sweep as sweep_command
-from bowden.models.diagnose_each import Reference, diagnose_each
+from bowden.models.diagnose_each import ReferenceCondition, diagnose_each
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run, summary
 from bowden.sweep.row_trial import FIGURES
@@ -218,7 +218,7 @@ class EndingWorker(ThreadPoolExecutor):
 def test_a_diagnosis_that_ends_its_process_is_refused_alone(here: Path) -> None:
     trials = [here / "a.mcap", here / "b.mcap"]
     with EndingWorker(1) as executor:
-        found = diagnose_each(trials, (), Reference(None, (), None), Workers(executor, 1), lambda share: None)
+        found = diagnose_each(trials, (), ReferenceCondition(None, (), None), Workers(executor, 1), lambda share: None)
     assert [one["verdict"] for one in found.values()] == ["refused", "refused"]
     assert f"a.mcap: {ENDED}; give fewer --workers" in found[str(here / "a.mcap")]["warnings"][0]
 

@@ -93,7 +93,7 @@ def test_the_bus_is_restored_by_nmt_commands_and_the_last_pdo_of_each_cob_id() -
 
 @pytest.mark.parametrize(("selection", "why"), [
     (Selection(from_s=1.0), "recording's length"), (Selection(from_s=0.005, to_s=0.004), "from ≤ to"),
-    (Selection(from_s=-0.1), "0 ≤ from"), (Selection(direction="up"), "rx or tx"),
+    (Selection(from_s=-0.1), "0 ≤ from"), (Selection(direction="up"), "rx, tx or both"),
     (Selection(nodes=frozenset({9})), "no recorded frame passes"),
 ])
 def test_what_cannot_be_played_is_refused(selection: Selection, why: str) -> None:

@@ -130,7 +130,7 @@ def _each(
     where: tuple[str | None, int | None],
 ) -> CommandAnswer:
     """Diagnose every trial for itself; status 0 with a result for each, 1 if some were refused, 2 if all were."""
-    reference = diagnose_each.Reference(calibration, tuple(healthy), lowpass)
+    reference = diagnose_each.ReferenceCondition(calibration, tuple(healthy), lowpass)
     with job_workers.workers_of(*where) as crew, terminal.progress("diagnosing") as update:
         told = diagnose_each.diagnose_each(trials, holdout, reference, crew, update)
     refused = sum(one["verdict"] == "refused" for one in told.values())
