@@ -23,7 +23,7 @@ ACCELERATION: Final = 100_000.0
 SETTLING_S: Final = 0.1
 """Time constant with which the speed of an axis follows its torque, in the torque modes."""
 HOMING_NS: Final = 100_000_000
-"""Duration of a homing run whose method is none of 35 and 37."""
+"""Duration of a homing run, ns; methods 35 and 37 take the present position at once."""
 MODES: Final = frozenset({Mode.NONE, Mode.PROFILE_POSITION, Mode.PROFILE_VELOCITY, Mode.PROFILE_TORQUE, Mode.HOMING,
                           Mode.CSP, Mode.CSV, Mode.CST})
 CONTROLWORD, MODE = key(0x6040), key(0x6060)

@@ -263,8 +263,8 @@ LAST_IDENTIFIER: Final = 0x1FFF_FFFF
 def read_log(path: Path, progress: Callable[[float], None] = lambda share: None) -> LoggedFrames:
     """Read a log in a format of python-can (.asc, .blf, .trc …, its own .csv and .db; some packed by gzip).
 
-    `counts` holds CAN FD frames (a trial cannot store them), DLCs above 8 of classical frames, malformed frames, lines
-    and frames that are cut, and the bytes that a BLF file has less than its header states; `damage` lists where.
+    `counts` holds CAN FD frames, which a trial cannot store, DLCs above 8 of classical frames, and malformed frames.
+    It also holds lines and frames that are cut, and how many bytes a BLF file lacks; `damage` lists where.
     `progress` receives the share read, 0 … 1. Raises `InputError` if the file is malformed.
     """
     refuse_special(path)

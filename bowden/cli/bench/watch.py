@@ -115,7 +115,7 @@ Book = Annotated[Path | None, option(
 LOOK_S = 0.1
 """Time between two looks at the file, s."""
 STILL_LOOKS = 50
-"""Looks after which the user is told that a file does not grow: a recording that was cut off never will."""
+"""Number of looks without growth of the file after which a remark says so: a recording that was cut off never grows."""
 
 
 @app.command()
