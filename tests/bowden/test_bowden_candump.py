@@ -47,23 +47,45 @@ def test_every_format_of_candump_is_read(
 
 @pytest.mark.parametrize("line", [
     "can0 701 [1]", "(1.0) can0 701#0", "(1.0) can0 701##0112233", "can0  701   [12]  " + "00 " * 12, "hello"])
-def test_another_line_is_named(bowden: Run, here: Path, line: str) -> None:
-    Path("a.log").write_text("(1.0) can0 701#05\n" + line + "\n")
+def test_another_line_is_listed_and_the_frames_around_it_are_shown(bowden: Run, here: Path, line: str) -> None:
+    Path("a.log").write_text(f"(1.0) can0 701#05\n{line}\n(1.1) can0 703#05\n")
     told = bowden("monitor", "a.log")
-    assert (told.status, told.stderr.count("\n")) == (2, 1), told
-    assert "a.log:2: " in told.stderr
+    assert (told.status, told.stderr.count("\n")) == (0, 1), told
+    assert told.stderr.startswith("bowden: a.log: line 2: ")
+    assert told.stderr.endswith("is a CAN FD frame; left out.\n" if "##" in line or "[12]" in line
+                                else "is no whole frame; left out.\n")
+    assert [shown.split()[1] for shown in told.stdout.splitlines()] == ["701", "703"]
 
 
-@pytest.mark.parametrize(("torn", "last", "left_out"), [("(1.2) can0 7", "3", "; it is left out"),
-                                                       ("(1.2) can0 704#7", "3", "; it is left out"),
-                                                       ("(1.2) can0 704#05", "4", "")])
-def test_a_torn_last_line_is_remarked_and_the_frames_before_it_are_shown(
-        bowden: Run, here: Path, torn: str, last: str, left_out: str) -> None:
+@pytest.mark.parametrize(("text", "refused"), [
+    ("hello\nyou\n", "a.log: holds no classical CAN frame (line 1: 'hello' is no whole frame; left out); record it with "
+                     "candump -L."),
+    ("(1.0) can0 701#05\nhello\nyou\n", "a.log: 2 lines are not as candump -L writes them; give such a log.")])
+def test_a_text_of_other_lines_is_refused(bowden: Run, here: Path, text: str, refused: str) -> None:
+    Path("a.log").write_text(text)
+    told = bowden("monitor", "a.log")
+    assert (told.status, told.stderr.splitlines()[-1]) == (2, f"bowden: {refused}")
+
+
+def test_lines_that_never_are_frames_are_refused_before_they_end(
+        bowden: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = io.StringIO("hello\n" * 1000)
+    monkeypatch.setattr("sys.stdin", lines)
+    told = bowden("monitor", "-")
+    assert (told.status, told.stdout, told.stderr.count("\n")) == (2, "", 1), told
+    assert lines.readline() == "hello\n"
+
+
+@pytest.mark.parametrize(("torn", "damage"), [
+    ("(1.2) can0 7", "'(1.2) can0 7' is no whole frame; left out"),
+    ("(1.2) can0 704#7", "'(1.2) can0 704#7' is no whole frame; left out"),
+    ("(1.2) can0 704#05", "the last line has no end, so bytes of its frame may be missing; kept")])
+def test_a_torn_last_line_is_listed_and_the_frames_before_it_are_shown(
+        bowden: Run, here: Path, torn: str, damage: str) -> None:
     Path("a.log").write_text("(1.0) can0 701#05\n(1.1) can0 703#05\n" + torn)
     told = bowden("monitor", "a.log")
-    assert (told.status, told.stderr) == (
-        0, f"bowden: a.log:3: the last line has no end and may be torn: {torn!r}{left_out}.\n")
-    assert told.stdout.splitlines()[-1].split()[2] == last
+    assert (told.status, told.stderr) == (0, f"bowden: a.log: line 3: {damage}.\n")
+    assert told.stdout.splitlines()[-1].split()[2] == ("4" if damage.endswith("kept") else "3")
 
 
 def test_a_torn_blf_is_remarked(bowden: Run, here: Path) -> None:

@@ -57,6 +57,8 @@ def test_a_cut_frame_is_listed_by_its_line(
     assert all(f"  {place}\n" in shown.stdout for place in damage)
     if not listed.startswith("PDO"):  # bowden info reads no declaration
         assert listed in " ".join(bowden("info", name).stdout.split())
+    if name == "a.log" and not listed.startswith("PDO"):
+        assert bowden("monitor", name).stderr == "".join(f"bowden: {name}: {place}.\n" for place in damage)
     kept = len(trial.open(Path("a.mcap")).frames)
     assert kept <= FRAMES if "kept" in listed else kept < FRAMES
 
@@ -116,6 +118,14 @@ def test_of_many_cut_frames_the_first_are_listed_and_the_others_counted(bowden: 
     Path("a.asc").write_text("".join(line.replace(" 52 00 00 F6 FF", "").replace(" 34 56 78", "") for line in lines))
     damage = json.loads(bowden("import", "a.asc", "-o", "b.mcap", "--json").stdout)["damage"]
     assert damage[-1] == "and 20 more such places"
+
+
+def test_monitor_lists_the_first_damaged_lines_and_counts_the_others(bowden: Run, here: Path) -> None:
+    lines = log(Path("a.log"))
+    Path("a.log").write_text("".join(line.replace("F6FF", "F6F") if k % 2 else line for k, line in enumerate(lines * 3)))
+    listed = json.loads(bowden("import", "a.log", "-o", "a.mcap", "--json").stdout)["damage"]
+    assert len(listed) == 21
+    assert bowden("monitor", "a.log").stderr.splitlines() == [f"bowden: a.log: {place}." for place in listed]
 
 
 @pytest.mark.parametrize(("name", "keep"), [("a.asc", "d 8 37 12"), ("a.trc", "8    37 12 9D")])

@@ -86,21 +86,31 @@ def is_log(line: str) -> bool:
 
 
 def each(lines: Iterable[str], name: str, remark: Callable[[str], None]) -> Iterator[CandumpLine]:
-    """Yield the frames of candump's lines; empty lines are passed over, and a line without a classical frame is an
-    `InputError` with its number.
+    """Yield the frames of candump's lines as they come; `remark` is called with a sentence on each damaged line.
 
-    A last line without an end may be torn: `remark` is called with a sentence.
+    The sentences are those that `read` lists, from the first frame on, and at the end the number of further ones.
+
+    Raises `InputError` for lines of which none is a frame, and at the end if most of them are none.
     """
+    damage, frames, malformed = DamageRemarks(), 0, 0
     for number, line in enumerate(lines, 1):
-        frame, torn = parse(line), not line.endswith("\n")
-        if torn and line.strip():
-            remark(f"{name}:{number}: the last line has no end and may be torn: {line.strip()[-60:]!r}"
-                   f"{'' if frame else '; it is left out'}.")
+        frame = parse(line)
+        anomaly, sentence = _damage(line, frame)
+        malformed += anomaly == "malformed_lines"
+        if sentence:
+            damage.add(f"line {number}", sentence)
         if frame is not None:
+            frames += 1
             yield frame
-        elif line.strip() and not torn:
-            raise InputError(f"{name}:{number}: {line.strip()[:60]!r} is no line of candump with a classical CAN "
-                             "frame; write the log by candump -L.")
+        for place in damage.unread() if frames else ():
+            remark(f"{name}: {place}.")
+        if not frames and damage.full:
+            break
+    if not frames and damage.sentences:
+        raise InputError(f"{name}: holds no classical CAN frame ({damage.sentences[0]}); {REMEDY}.")
+    if damage.further:
+        remark(f"{name}: {damage.further}.")
+    _refuse_no_log(malformed, frames, f"{name}: ")
 
 
 def read(lines: Iterable[str]) -> LoggedFrames:
@@ -108,38 +118,52 @@ def read(lines: Iterable[str]) -> LoggedFrames:
 
     `damage` lists malformed lines, and a last line without an end, whose payload may be cut.
 
-    Raises `InputError` for screen output without a time, or with the time since the line before.
+    Raises `InputError` for screen output without a time, or with the time since the line before, and for a text most of
+    whose lines are malformed.
     """
     rows = FrameRows()
     channels = ChannelNumbers()
     counts = {"malformed_lines": 0, "fd_frames": 0, "dlc_above_8": 0, "unstamped_lines": 0}
-    shown, damage, line = 0, DamageRemarks(), "\n"
+    shown, damage = 0, DamageRemarks()
     for number, line in enumerate(lines, 1):
         frame = parse(line)
-        if frame is None and line.strip():
-            anomaly = _anomaly(line)
+        anomaly, sentence = _damage(line, frame)
+        if anomaly:
             counts[anomaly] += 1
-            if anomaly == "malformed_lines":
-                damage.add(f"line {number}", f"{line.strip()[-60:]!r} is no whole frame; left out")
-        elif frame is None:
-            pass
-        elif frame.time_ns is None:
+        if sentence and anomaly != "fd_frames":  # these are counted alone
+            damage.add(f"line {number}", sentence)
+        if frame is None:
+            continue
+        if frame.time_ns is None:
             counts["unstamped_lines"] += 1
         else:
             shown += frame.shown
             counts["dlc_above_8"] += frame.long
             rows.add((frame.time_ns, frame.can_id, frame.flags, frame.dlc, channels.number(frame.channel), frame.sent,
                       frame.payload), number)
-    if not line.endswith("\n") and parse(line) is not None:
-        damage.add(f"line {number}", END_MISSING)
     _refuse_screen(rows, counts, shown)
+    _refuse_no_log(counts["malformed_lines"], len(rows))
     return LoggedFrames(rows.rows(), channels.names, counts, damage, rows.lines)
 
 
-def _anomaly(line: str) -> str:
-    """Return the count that a line without a classical frame belongs to."""
-    text = line.strip()
-    return "fd_frames" if len(text) <= LONGEST and (_FD_LINE.match(text) or _SCREEN.match(text)) else "malformed_lines"
+def _damage(line: str, frame: CandumpLine | None) -> tuple[str, str]:
+    """Return the count that a line without the classical `frame` belongs to, and a sentence on a damaged line.
+
+    Both are "" for a whole frame and for an empty line.
+    """
+    text = _COLOURS.sub("", line).strip()
+    if frame is not None or not text:
+        return "", "" if line.endswith("\n") or not text else END_MISSING
+    found = _SCREEN.match(text) if len(text) <= LONGEST else None
+    if (found and (len(found[6]) > 1 or int(found[6]) > 8)) or (len(text) <= LONGEST and _FD_LINE.match(text)):
+        return "fd_frames", f"{text[:60]!r} is a CAN FD frame; left out"
+    return "malformed_lines", f"{text[-60:]!r} is no whole frame; left out"
+
+
+def _refuse_no_log(malformed: int, frames: int, source: str = "") -> None:
+    """Raise `InputError` for a text with more malformed lines than frames; `source`: its name and a colon."""
+    if malformed > frames:
+        raise InputError(f"{source}{malformed} lines are not as candump -L writes them; give such a log.")
 
 
 def _refuse_screen(rows: FrameRows, counts: dict[str, int], shown: int) -> None:

@@ -94,7 +94,7 @@ class DamageRemarks:
 
     def __init__(self) -> None:
         self._first: list[str] = []
-        self._others = 0
+        self._others = self._read = 0
 
     def add(self, place: str, damage: str) -> None:
         """Add the damage at one place, such as "line 7"."""
@@ -103,10 +103,25 @@ class DamageRemarks:
         else:
             self._others += 1
 
+    def unread(self) -> list[str]:
+        """Return the sentences on the places that were added since the last call, without the number of others."""
+        new, self._read = self._first[self._read:], len(self._first)
+        return new
+
+    @property
+    def full(self) -> bool:
+        """True if further places are only counted."""
+        return len(self._first) == MOST_REMARKS
+
+    @property
+    def further(self) -> str:
+        """Number of the places that are only counted, in words; "" if there is none."""
+        return f"and {self._others} more such places" if self._others else ""
+
     @property
     def sentences(self) -> list[str]:
         """Return the sentences in the order of the log."""
-        return [*self._first, *([f"and {self._others} more such places"] if self._others else [])]
+        return [*self._first, *([self.further] if self.further else [])]
 
 
 @dataclass

@@ -160,7 +160,7 @@ def _of_file(source: Path) -> Iterator[MonitoredFrame]:
 
 
 def _of_candump(lines: Iterable[str], name: str) -> Iterator[MonitoredFrame]:
-    """Yield the frames of candump's lines; a line without a time counts as at 0, a torn last line is remarked."""
+    """Yield the frames of candump's lines; a line without a time counts as at 0, a damaged line is remarked."""
     for frame in candump.each(lines, name, terminal.remark):
         yield MonitoredFrame(frame.time_ns or 0, frame.can_id, frame.flags, frame.dlc, frame.payload)
 
