@@ -3,7 +3,7 @@
 Each gait cycle is linearised at the present null mode; with base coordinates x (constants and discrepancy), effect
 sizes s ~ N(0, 1) along the columns E and the sums over cycles A = ΣHᵀWH, B = ΣHᵀWE, C = ΣEᵀWE, b = ΣHᵀWe, d = ΣEᵀWe:
 
-    M = P⁻¹ + A,   x = M⁻¹b,   G = C − BᵀM⁻¹B,   g = d − BᵀM⁻¹b        ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G)
+    M = P⁻¹ + A,   x = M⁻¹b,   G = C − BᵀM⁻¹B,   g = d − Bᵀx        ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G)
 
 An effect that begins in cycle c has the sums of B, C, d from c on.  Its evidence is the mean over a beginning before
 the trial (half of the prior) and in each later cycle.
@@ -14,7 +14,9 @@ earlier null mode, and a model error that repeats in every cycle is counted as n
 the detection threshold, the recorded cycles are diagnosed with the full model.
 """
 
-from collections.abc import Callable, Mapping
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any, Final, NamedTuple
@@ -26,7 +28,7 @@ from scipy.special import logsumexp
 
 from estimation.data.table import Table, table
 from estimation.likelihood_data import PathRecording
-from estimation.linear_sums import EffectColumns, Sums, effect_columns, slopes, summed
+from estimation.linear_sums import EffectColumns, effect_columns, slopes, summed
 from estimation.outputs import predict
 from estimation.posterior import bayes_factor, bounded
 from estimation.reference_fit import ReferenceFit
@@ -97,6 +99,22 @@ class DiagnosisSchedule:
         self.diagnosed = count
 
 
+class EffectSums(NamedTuple):
+    """Sums over the data of a gait cycle that the evidence of an effect needs, of n base and m effect columns.
+
+    `cross`: B, shape (n, m).  `square`: C, shape (m, m).  `pull`: d, shape (m,).  A and b count over the whole trial
+    alone and are not stored for each cycle.
+    """
+
+    cross: Array
+    square: Array
+    pull: Array
+
+    def __add__(self, other: EffectSums) -> EffectSums:  # type: ignore[override]
+        """Return the sums over the data of both."""
+        return EffectSums(self.cross + other.cross, self.square + other.square, self.pull + other.pull)
+
+
 class RunningEvidence:
     """Evidence of one running trial against the fit of the reference trials, named by the rule `naming`.
 
@@ -110,9 +128,10 @@ class RunningEvidence:
         self._beyond = -1.0
         self._x = np.zeros(self._size)
         self._variants = effect_columns(reference)
-        self._cycles: list[Sums] = []
-        count = self._size + self._variants[-1].at.stop
-        self._whole = Sums(np.zeros((count, count)), np.zeros(count))
+        self._cycles: list[EffectSums] = []
+        count = self._variants[-1].at.stop
+        self._square, self._pull = np.zeros((self._size, self._size)), np.zeros(self._size)
+        self._whole = EffectSums(np.zeros((self._size, count)), np.zeros((count, count)), np.zeros(count))
         self._earlier = 0
         self._named: Mapping[str, float] = {}
         self._schedule = DiagnosisSchedule()
@@ -144,8 +163,13 @@ class RunningEvidence:
         design = np.concatenate([base.base, observed.features], axis=1)[inside]
         weights = self.reference.prior.mean[len(FREE):] + self._x[len(FREE):]
         residual = (recording.data - base.data - observed.features @ weights)[inside]
-        self._cycles.append(summed(design, base.effects[inside], residual + design @ self._x,
-                                   bounded(residual, observed.weight[inside])))
+        sums = summed(design, base.effects[inside], residual + design @ self._x,
+                      bounded(residual, observed.weight[inside]))
+        base_columns, effects = slice(0, self._size), slice(self._size, None)
+        self._square += sums.square[base_columns, base_columns]
+        self._pull += sums.pull[base_columns]
+        self._cycles.append(EffectSums(*(part.copy() for part in (
+            sums.square[base_columns, effects], sums.square[effects, effects], sums.pull[effects]))))
         self._whole += self._cycles[-1]
         if len(self._cycles) > most:
             self._cycles[:2] = [self._cycles[0] + self._cycles[1]]
@@ -157,9 +181,8 @@ class RunningEvidence:
 
     def _verdict(self, cycle: int, window: Mapping[str, Array], recording: PathRecording, inside: Flags
                  ) -> WatchVerdict:
-        size = self._size
-        inner = cho_factor(self._precision + self._whole.square[:size, :size])
-        self._x = cho_solve(inner, self._whole.pull[:size])
+        inner = cho_factor(self._precision + self._square)
+        self._x = cho_solve(inner, self._pull)
         likely = self._foremost(inner)
         rated: dict[str, tuple[float, int, EffectColumns, Array]] = {}
         for part in likely:
@@ -192,33 +215,31 @@ class RunningEvidence:
         """Return the `most` variants with the most evidence by the whole trial, and as many by the latest cycle."""
         chosen: dict[int, EffectColumns] = {}
         for sums in (self._whole, self._cycles[-1]):
-            square, pull = self._conditional(inner, sums, slice(0, sums.pull.size - self._size))
-            gains = [bayes_factor(square[p.at, p.at], pull[p.at])[0] for p in self._variants]
+            gains = [self._evidence(inner, [sums], p.at)[0][0] for p in self._variants]
             chosen |= {int(k): self._variants[k] for k in np.argsort(gains)[::-1][:most]}
         return list(chosen.values())
 
-    def _conditional(self, inner: Any, sums: Sums, at: slice) -> tuple[Array, Array]:
-        """Return G and g of the effect columns `at` that act in the cycles of `sums`."""
-        own = slice(self._size + at.start, self._size + at.stop)
-        # G = C − BᵀM⁻¹B and g = d − BᵀM⁻¹b of the module's docstring
-        cross = sums.square[:self._size, own]
-        carried = cho_solve(inner, cross)
-        return (sums.square[own, own] - cross.T @ carried,
-                sums.pull[own] - carried.T @ self._whole.pull[:self._size])
+    def _evidence(self, inner: Any, sums: Sequence[EffectSums], at: slice) -> tuple[Array, list[Array]]:
+        """Return log Bayes factor, shape (sums,), and sizes of the effect columns `at` that act in the data of each of
+        `sums`."""
+        cross = np.stack([of.cross[:, at] for of in sums])
+        # G = C − BᵀM⁻¹B and g = d − Bᵀx of the module's docstring, with one solution for all of `sums`
+        carried = cho_solve(inner, np.concatenate(cross, axis=1)).reshape(cross.shape[1], *cross.shape[::2])
+        found = [bayes_factor(of.square[at, at] - b.T @ carried[:, k], of.pull[at] - b.T @ self._x)
+                 for k, (of, b) in enumerate(zip(sums, cross, strict=True))]
+        return np.array([nats for nats, _ in found]), [sizes for _, sizes in found]
 
     def _beginnings(self, inner: Any, part: EffectColumns) -> tuple[float, int, Array]:
         """Return evidence, likeliest first cycle and sizes of one variant, over all first cycles."""
-        kept = [*range(self._size), *range(self._size + part.at.start, self._size + part.at.stop)]
-        after = accumulate(Sums(c.square[np.ix_(kept, kept)], c.pull[kept]) for c in self._cycles[::-1])
-        own = slice(0, part.at.stop - part.at.start)
-        found = [bayes_factor(*self._conditional(inner, sums, own)) for sums in after][::-1]
-        nats = np.array([gain for gain, _ in found])
+        own = part.at
+        after = accumulate(EffectSums(c.cross[:, own], c.square[own, own], c.pull[own]) for c in self._cycles[::-1])
+        nats, sizes = self._evidence(inner, list(after)[::-1], slice(None))
         # half of the prior for a beginning before the trial, the other half evenly for the later cycles
         prior = np.full(nats.size, -np.log(2.0))
         if nats.size > 1:
             prior[1:] -= np.log(nats.size - 1)
         since = int(np.argmax(nats + prior))
-        return float(logsumexp(nats + prior)), since, found[since][1]
+        return float(logsumexp(nats + prior)), since, sizes[since]
 
     def _end_error(self, window: Mapping[str, Array], recording: PathRecording, inside: Flags,
                    part: EffectColumns | None, sizes: Array, largest: float = 2.5) -> tuple[float, float]:
