@@ -58,8 +58,8 @@ def test_another_line_is_listed_and_the_frames_around_it_are_shown(bowden: Run, 
 
 
 @pytest.mark.parametrize(("text", "refused"), [
-    ("hello\nyou\n", "a.log: holds no classical CAN frame (line 1: 'hello' is no whole frame; left out); record it with "
-                     "candump -L."),
+    ("hello\nyou\n", "a.log: holds no classical CAN frame (line 1: 'hello' is no whole frame; left out); record it "
+                     "with candump -L."),
     ("(1.0) can0 701#05\nhello\nyou\n", "a.log: 2 lines are not as candump -L writes them; give such a log.")])
 def test_a_text_of_other_lines_is_refused(bowden: Run, here: Path, text: str, refused: str) -> None:
     Path("a.log").write_text(text)

@@ -121,8 +121,8 @@ def test_of_many_cut_frames_the_first_are_listed_and_the_others_counted(bowden: 
 
 
 def test_monitor_lists_the_first_damaged_lines_and_counts_the_others(bowden: Run, here: Path) -> None:
-    lines = log(Path("a.log"))
-    Path("a.log").write_text("".join(line.replace("F6FF", "F6F") if k % 2 else line for k, line in enumerate(lines * 3)))
+    lines = log(Path("a.log")) * 3
+    Path("a.log").write_text("".join(line.replace("F6FF", "F6F") if k % 2 else line for k, line in enumerate(lines)))
     listed = json.loads(bowden("import", "a.log", "-o", "a.mcap", "--json").stdout)["damage"]
     assert len(listed) == 21
     assert bowden("monitor", "a.log").stderr.splitlines() == [f"bowden: a.log: {place}." for place in listed]
