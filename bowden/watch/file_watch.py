@@ -3,6 +3,7 @@
 The rule of this file: it reads one file and sends nothing to a bus; a stop is asked for by its answer alone.
 """
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,6 +29,14 @@ from trial.signals import of_path
 
 LEAD_S: Final = 2.5
 """Time simulated before a cycle, s, so that friction states are known at its start."""
+
+
+DIAGNOSED_S: Final = 40.0
+"""Time, s, of suspected cycles that one diagnosis uses, in windows spread evenly over them.
+
+A diagnosis takes about as long as the time that it uses.  If this is too large, a watch falls behind its trial; if it
+is too small, small effects are not named before the diagnosis of the whole trial.
+"""
 
 
 class GaitWindow(NamedTuple):
@@ -110,28 +119,35 @@ class GaitWindows:
 
 
 class LatestCycles:
-    """Rows of the latest gait cycles, as many as a diagnosis uses, and what their diagnosis names.
+    """Columns of the latest gait cycles that a diagnosis uses, and the effects that their diagnosis names.
 
     `names`: of the columns, "" for one of another force path.  `finder`: diagnosis with the reference trials.
     """
 
     def __init__(self, source: str, names: Sequence[str], finder: Finder) -> None:
-        self._source, self._names, self._finder = source, names, finder
-        self._cycles: list[Array] = []
+        self._source, self._finder = source, finder
+        self._place = {name: k for k, name in enumerate(names)
+                       if name in table.UNITS or name in table.WORDS or name.endswith(table.AGE_SUFFIX)}
+        self._cycles: deque[dict[str, Array]] = deque()
 
     def add(self, rows: Array, most_s: float = 120.0) -> None:
-        """Add the rows of one cycle; cycles that end more than `most_s` before its last row are dropped."""
-        time = self._names.index("time_s")
-        self._cycles = [*(c for c in self._cycles if rows[-1, time] - c[0, time] <= most_s), rows]
+        """Add the rows of one cycle; cycles that begin more than `most_s` before its last row are dropped."""
+        self._cycles.append({name: rows[:, place].copy() for name, place in self._place.items()})
+        while len(self._cycles) > 1 and rows[-1, self._place["time_s"]] - self._cycles[0]["time_s"][0] > most_s:
+            self._cycles.popleft()
+
+    def recorded(self, count: int) -> Table:
+        """Return the latest `count` cycles, or as many of them as there are, as a trial of `DIAGNOSED_S` at most."""
+        cycles = list(self._cycles)[-count:]
+        columns = {name: np.concatenate([cycle[name] for cycle in cycles]) for name in self._place}
+        return windows.bounded(table.table(self._source, table.recorded(columns)), DIAGNOSED_S)
 
     def diagnosed(self, count: int) -> dict[str, float] | None:
         """Return the effects that a diagnosis of the latest `count` cycles names, best first, with log Bayes factors.
 
         None if the diagnosis refuses them, as it does fewer than three cycles.
         """
-        rows = np.concatenate(self._cycles[-count:])
-        columns = {name: rows[:, k] for k, name in enumerate(self._names) if name}
-        found = self._finder.diagnose([table.table(self._source, table.recorded(columns))])
+        found = self._finder.diagnose([self.recorded(count)])
         nats = (found.evidence or {}).get("log_bayes_factors", {})
         return None if found.verdict == "refused" else {name: nats.get(name, 0.0) for name in found.rivals}
 
@@ -175,6 +191,7 @@ class FileWatch:
         self._bench, self._file = bench, GrowingTrial(path, replaced=replaced)
         self._tables = [usable_table(path, bench.path) for path in bench.healthy]
         self._windows: GaitWindows | None = None
+        self._latest: LatestCycles | None = None
         self._evidence: dict[tuple[str, ...], RunningEvidence] = {}
         self._of(tuple(n for n in SIGNALS if all(n in t for t in self._tables)))
         self._finder = Finder(session_sd=bench.session_sd).fit([windows.read(p, bench.path) for p in bench.healthy])
@@ -207,6 +224,7 @@ class FileWatch:
 
     def _judged(self, window: GaitWindow) -> Iterator[WatchVerdict]:
         outputs = tuple(n for n in SIGNALS if n in window.columns and all(n in t for t in self._tables))
+        assert self._latest is not None
         self._latest.add(window.rows)
         found = self._of(outputs).add(*window[:3])
         if found is not None:
@@ -223,8 +241,15 @@ class FileWatch:
         return (f"{self._bench.path}, " if self._bench.path else "") + told(found)
 
     def diagnosis(self) -> Findings:
-        """Return the diagnosis of the whole file, as `bowden diagnose` gives it."""
+        """Return the diagnosis of the whole file, as `bowden diagnose` gives it; cycles and evidence are dropped first.
+        """
+        self._windows, self._latest = None, None
+        self._evidence.clear()
         return self._finder.diagnose([windows.read(self._file.path, self._bench.path)])
+
+    def _diagnosed(self, count: int) -> dict[str, float] | None:
+        assert self._latest is not None
+        return self._latest.diagnosed(count)
 
     def _of(self, outputs: tuple[str, ...]) -> RunningEvidence:
         """Return the running evidence from these outputs; other outputs need another fit of the reference trials."""
@@ -234,7 +259,7 @@ class FileWatch:
             with threadpool_limits(1, user_api="blas"):
                 recordings = [PathRecording(_only(t, outputs)) for t in self._tables]
                 fit = fit_reference(PATH_MODEL, recordings, self._bench.session_sd)
-            naming = Naming(threshold(PATH_MODEL), lambda count: self._latest.diagnosed(count))
+            naming = Naming(threshold(PATH_MODEL), self._diagnosed)
             self._evidence[outputs] = RunningEvidence(fit, DRIFT_S, naming, _missed_n(self._tables))
         return self._evidence[outputs]
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import cProfile
 import json
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,13 +15,19 @@ import numpy as np
 import pytest
 
 from bowden.cli.app import run
-from bowden.watch.file_watch import GaitWindows
+from bowden.watch.file_watch import DIAGNOSED_S, DRIFT_S, GaitWindows, LatestCycles
 from diagnosis.evidence.decision import threshold
+from diagnosis.finder import Finder
+from estimation.data import table
+from estimation.data.table import Table
+from estimation.joint_fit import fit_reference
+from estimation.likelihood_data import PathRecording
 from estimation.path_model import PATH_MODEL
-from estimation.running_evidence import DiagnosisSchedule
+from estimation.running_evidence import DiagnosisSchedule, Naming, RunningEvidence
 from tests.hidden.watch_calibration import Question, compared
 from trial import read
 from trial.growing import GrowingTrial
+from trial.mcap_file import container, records
 
 GAIT = ("--cycles", "4", "--period", "1.2", "--serial", "3")
 
@@ -137,6 +145,47 @@ def test_the_diagnoses_of_an_hour_are_few_even_if_the_change_seems_to_begin_anew
     assert next(count for count in range(91, 100) if late.due(count, 91)) == 91
 
 
+def tiled(path: Path, times: int, every: int = 5) -> Table:
+    """Return the numbered cycles of a trial `times` times in succession, with each fifth of their rows."""
+    once = {name: values[::every] for name, values in table.read(path).columns.items()}
+    row_s = float(np.median(np.diff(once["time_s"])))
+    step = {"time_s": np.ptp(once["time_s"]) + row_s, "cycle": np.ptp(once["cycle"]) + 1.0}
+    return table.table("tiled", {name: np.concatenate([values + k * step.get(name, 0.0) for k in range(times)])
+                                 for name, values in once.items()})
+
+
+@pytest.mark.exhaustive
+def test_a_cycle_of_a_long_trial_needs_no_more_calls_rows_and_memory_than_one_after_two_minutes(place: Path) -> None:
+    trial, good = tiled(place / "good.mcap", 36), table.read(place / "good.mcap")
+    names = tuple(trial.columns)
+    latest, cut = LatestCycles(trial.source, names, Finder()), GaitWindows(names, 2.0)
+    diagnosed: list[int] = []
+
+    def stated(count: int) -> dict[str, float]:
+        """Return an effect, so that every cycle is suspected, without a diagnosis."""
+        diagnosed.append(len(latest.recorded(count)))
+        return {"stiffness": 20.0}
+
+    running = RunningEvidence(fit_reference(PATH_MODEL, [PathRecording(good)]), DRIFT_S, Naming(-np.inf, stated))
+    calls, held = [], []
+    tracemalloc.start()
+    for window in cut.add(np.stack([trial[name] for name in names], axis=1)):
+        counted = cProfile.Profile()
+        with counted:
+            latest.add(window.rows)
+            running.add(*window[:3])
+        calls.append(sum(row.callcount for row in counted.getstats()))
+        held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert len(calls) == 143
+    assert max(calls[-20:]) <= 1.05 * max(calls[100:120])
+    assert max(held[-20:]) - max(held[100:120]) < 0.5e6  # bytes; the evidence of one cycle takes 0.2 MB
+    row_s = 0.005
+    assert max(diagnosed) * row_s == pytest.approx(DIAGNOSED_S, rel=0.01)
+    # a third more cycles between two diagnoses: four cycles diagnosed for each of the trial
+    assert sum(diagnosed) < 4 * len(trial)
+
+
 GROW = """
 import sys
 from pathlib import Path
@@ -151,14 +200,15 @@ with target.open("wb", buffering=0) as file:
 
 def test_rows_of_a_growing_file_are_those_of_the_whole(place: Path, tmp_path: Path) -> None:
     whole, grown = read.open(place / "good.mcap"), GrowingTrial(tmp_path / "grown.mcap")
-    found = []
+    found, counted = [], cProfile.Profile()
     with subprocess.Popen([sys.executable, "-c", GROW, str(place / "good.mcap"), str(grown.path)], text=True,
                           stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
         assert writer.stdin is not None
         assert writer.stdout is not None
         while not grown.closed:
             assert writer.stdout.readline()
-            found.append(grown.rows())
+            with counted:
+                found.append(grown.rows())
             writer.stdin.write("\n")
             writer.stdin.flush()
         writer.communicate("\n" * 1000)
@@ -166,6 +216,11 @@ def test_rows_of_a_growing_file_are_those_of_the_whole(place: Path, tmp_path: Pa
     assert sum(one.size > 0 for one in found) > 3
     assert grown.columns == tuple(whole.columns)
     np.testing.assert_array_equal(rows.T, np.array(list(whole.columns.values())))
+    # each chunk is unpacked once, however often the file is looked at
+    unpacked = sum(row.callcount for row in counted.getstats() if getattr(row.code, "co_name", "") == "unpack")
+    with records.mapped(grown.path) as view:
+        assert unpacked == sum(opcode == container.CHUNK for opcode, *_ in records.records(
+            view, len(container.MAGIC), len(view) - len(container.MAGIC)))
 
 
 def test_cycles_of_a_bus_without_numbers_are_cut_by_the_period() -> None:
