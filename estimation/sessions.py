@@ -2,17 +2,21 @@
 
 With s a session, x_s its departure from the posterior's mean and a the sizes of an effect, all with a Gaussian prior:
 
-    e_s = H_s x_s + E_s (a₀ + w_s a) + ε_s        x_s = b + R_s r + δ_s,  δ_s ~ N(0, D),  a₀, a ~ N(0, 1)
-    b ~ N(0, population)                   r: offset of constants that maintenance reset, R_s = 1 after it
+    e_s = H_s x_s + E_s (a₀ + w_s a + α_s) + ε_s        x_s = b + R_s r + w_s h c + δ_s
+    b ~ N(0, population),  δ_s ~ N(0, D),  a₀, a ~ N(0, 1)
+    r: offset of constants that maintenance reset, R_s = 1 after it
 
 w_s: 0 before the change; from its first session on 1 (step), or rising to 1 at the newest session (ramp).  a₀ is the
-size of the effect in all sessions: what the model's equations miss in each of them alike is no change.  δ_s is
-integrated out of the sums T of a session (`linear_sums`) with K = (D⁻¹ + A)⁻¹, A = HᵀWH:
+size of the effect in all sessions: what the model's equations miss in each of them alike is no change.  c ~ N(0, D₀),
+D₀ the published D: what the effect's equation misses of the change departs alike in each changed session.  h is 0 or 1
+with equal weights.  α_s ~ N(0, `SURROGATE`²) is the scatter of the effects that no constant of a session follows; it is
+kept in δ_s below.  δ_s is integrated out of the sums T of a session (`linear_sums`) with K = (D⁻¹ + A)⁻¹, A = HᵀWH:
 
-    S = T − T_H K T_Hᵀ,  g = t − T_H K HᵀWe        information about (b + R r, w a), and its pull
+    S = T − T_H K T_Hᵀ,  g = t − T_H K HᵀWe        information about (b, r, c, a₀, a), and its pull
 
-The variance of each constant between sessions is estimated by expectation maximisation with and without the change,
-under an inverse-gamma prior about the published one: a change does not hide in a scatter that it has itself enlarged.
+The covariance D of the constants between sessions is estimated by expectation maximisation with and without the change,
+under an inverse-Wishart prior about the published variances (Gelman et al. 2013, sec. 3.6): on a bench of another
+structure the constants scatter together, and a change does not hide in a scatter that it has itself enlarged.
 The order in which sessions were entered has no influence.
 """
 
@@ -22,7 +26,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
@@ -32,6 +36,8 @@ from estimation.reference_fit import ReferenceFit
 from physics.laws import Array
 
 COURSES: Final = ("step", "ramp")
+OFFSETS: Final = (0.0, 1.0)
+"""Nodes of h, the common departure of the constants beside the effect, in 1σ between sessions."""
 
 
 class Change(NamedTuple):
@@ -60,7 +66,10 @@ class Reset(NamedTuple):
 
 @dataclass(frozen=True)
 class _IntegratedSessions:
-    """Sessions with their deviations integrated out: S, g, K of each, and the log likelihood's constant part, nats."""
+    """Sessions with their deviations integrated out: S, g, K of each, and the log likelihood's constant part, nats.
+
+    Rows of S and g: b, r, then the effect columns.
+    """
 
     square: Array
     pull: Array
@@ -68,12 +77,24 @@ class _IntegratedSessions:
     constant: float
 
 
-class _Base(NamedTuple):
-    """Information about (b, r): precision, pull, and products with the effect columns, shape (sessions, (b, r), E)."""
+class _Information(NamedTuple):
+    """Information about (a₀, a) of all effects and its pull; `nats`: log evidence of what is integrated out."""
 
-    precision: Array
+    nats: float
+    square: Array
     pull: Array
-    cross: Array
+
+
+class _Evidence(NamedTuple):
+    """Log evidence, nats, of one variant: without a change, shape (), and with it, shape (h, course and begin).
+
+    `sizes`: of the effect and their 1σ with each, shape (h, course and begin, directions).
+    """
+
+    none: float
+    changed: Array
+    sizes: Array
+    sizes_sd: Array
 
 
 class SessionSequence:
@@ -84,30 +105,42 @@ class SessionSequence:
 
     def __init__(self, fit: ReferenceFit, columns: Sequence[EffectColumns], sessions: Sequence[SessionSums],
                  references: int, resets: Sequence[Reset] = (), scatter_sessions: float = 10.0) -> None:
-        """Store the sessions; `scatter_sessions`: weight of the published scatter between sessions, in sessions.
+        """Store the sessions; `scatter_sessions`: weight of the published scatter of one constant, in sessions.
 
         If it is too small, an enlarged scatter explains a change; if it is too large, benches that scatter more than
-        published alarm.  With 30, a bench that scatters twice as much reaches 8.6 nats without a change (of four, 12
-        drawn sessions each), with 10 it reaches 4.5, and 30 % of friction has 3 nats less.
+        published alarm.
         """
-        self.scatter_sessions = scatter_sessions
         self.fit, self.columns, self.resets, self.references = fit, columns, tuple(resets), references
         table = fit.model.constants
         self.free, self.count = len(table.free), len(sessions)
-        published = np.diag(fit.prior.covariance - fit.bench.covariance)
-        self.published = published[:self.free]
+        # one variance alone has the weight of `scatter_sessions`, and the prior of the matrix is proper
+        self.scatter_sessions, self.weight = scatter_sessions, 2.0 * self.free - 2.0 + scatter_sessions
+        deviation = np.diag(fit.prior.covariance - fit.bench.covariance)
+        self.published = deviation[:self.free]
         self.population = table.bench_sd[list(table.free)] ** 2
-        amplitude = published[self.free:] / fit.model.session_share**2
+        amplitude = deviation[self.free:] / fit.model.session_share**2
         unit = np.sqrt(np.concatenate([self.population, amplitude, np.ones(columns[-1].at.stop)]))
         self.basis = _basis([one.sums.square * unit[:, None] * unit for one in sessions[:max(references, 1)]],
                             self.free, unit.size - columns[-1].at.stop) * unit[:, None]
         self.size = self.basis.shape[1] - columns[-1].at.stop
         self.growth = [self._growth(one.growth) for one in sessions]
-        self.sums = [self._reduced(one) for one in sessions]
+        self.sums = [self._reduced(one, row) for row, one in enumerate(sessions)]
+        known = self.size + len(self.resets)
+        loose = [known + k for part in columns if not self._followed(part) for k in range(part.at.start, part.at.stop)]
+        # rows of δ_s among those of the sums (b, r, effects)
+        self.scattered = np.array([*range(self.size), *loose])
+        # 1σ of c by row of (b, r, effects): the published scatter between sessions
+        self.offset = np.zeros(len(self.sums[0].pull))
+        self.offset[:self.size] = np.sqrt(np.diag(self._deviation(np.diag(self.published))))[:self.size]
 
-    def _reduced(self, session: SessionSums) -> Sums:
-        """Return the sums of a session in units of the population's σ, of the reduced basis of the discrepancy."""
-        return Sums(self.basis.T @ session.sums.square @ self.basis, self.basis.T @ session.sums.pull)
+    def _reduced(self, session: SessionSums, row: int) -> Sums:
+        """Return the sums of (b, r, effects) of a session, in units of the population's σ, of the reduced discrepancy.
+        """
+        reset = np.zeros((self.basis.shape[1], len(self.resets)))
+        for k, one in enumerate(self.resets):
+            reset[one.constant, k] = float(row >= one.before)
+        basis = self.basis @ np.insert(np.eye(self.basis.shape[1]), [self.size] * len(self.resets), reset, axis=1)
+        return Sums(basis.T @ session.sums.square @ basis, basis.T @ session.sums.pull)
 
     def _growth(self, growth: Array) -> Array:
         """Return the growth of a session's deviation in the reduced basis."""
@@ -115,66 +148,87 @@ class SessionSequence:
         return np.concatenate([growth[:self.free],
                                (of**2 * growth[self.free:, None]).sum(axis=0) / (of**2).sum(axis=0)])
 
+    def _followed(self, part: EffectColumns) -> bool:
+        """Return whether an effect is a departure of constants of a session, so that it scatters as they do.
+
+        Without a scatter of all others three of eleven benches without a change reach 6.4 to 12.1 nats.
+        """
+        table = self.fit.model.constants
+        followed = {table.names[i] for i in table.free}
+        return not part.variant.at and {n for d in part.variant.directions for n in d.along} <= followed
+
     # -- scatter between sessions ------------------------------------------------------------------------------------
 
-    def integrated(self, variance: Array) -> _IntegratedSessions:
-        """Return the sessions with deviations of `variance` of the free constants, SI coordinates, integrated out."""
-        size = self.size
+    def integrated(self, covariance: Array) -> _IntegratedSessions:
+        """Return the sessions with deviations of a `covariance` of the free constants, in coordinates, integrated out.
+        """
+        rows, deviation = self.scattered, self._deviation(covariance)
         squares, pulls, inners, constant = [], [], [], 0.0
         for sums, growth in zip(self.sums, self.growth, strict=True):
-            root = np.sqrt(growth * self._deviation(variance))
-            square = sums.square[:size, :size]
-            factor = cho_factor(np.eye(size) + root[:, None] * square * root)
-            inner = root[:, None] * cho_solve(factor, np.diag(root))
-            across = sums.square[:, :size]
+            grown = np.sqrt(np.pad(growth, (0, rows.size - self.size), constant_values=1.0))
+            root = np.linalg.cholesky(grown[:, None] * deviation * grown)
+            factor = cho_factor(np.eye(rows.size) + root.T @ sums.square[np.ix_(rows, rows)] @ root)
+            inner = root @ cho_solve(factor, root.T)
+            across = sums.square[:, rows]
             squares.append(sums.square - across @ inner @ across.T)
-            pulls.append(sums.pull - across @ (inner @ sums.pull[:size]))
+            pulls.append(sums.pull - across @ (inner @ sums.pull[rows]))
             inners.append(inner)
-            constant += 0.5 * float(sums.pull[:size] @ inner @ sums.pull[:size])
+            constant += 0.5 * float(sums.pull[rows] @ inner @ sums.pull[rows])
             constant -= float(np.log(np.diag(factor[0])).sum())
-        share = variance / self.published
-        prior = -0.5 * self.scatter_sessions * float(np.sum(np.log(share) + 1.0 / share))
+        share = covariance / np.sqrt(np.outer(self.published, self.published))
+        # log density of the inverse-Wishart prior, but for terms that no covariance changes
+        prior = -0.5 * self.weight * float(np.linalg.slogdet(share)[1] + np.trace(np.linalg.inv(share)))
         return _IntegratedSessions(np.array(squares), np.array(pulls), np.array(inners), constant + prior)
 
-    def _deviation(self, variance: Array) -> Array:
-        """Return the variance between sessions of constants and discrepancy, relative to the population's."""
-        share = np.full(self.size - self.free, self.fit.model.session_share**2)
-        return np.concatenate([variance / self.population, share])
+    def _deviation(self, covariance: Array) -> Array:
+        """Return the covariance of δ_s: constants and discrepancy in units of the population's σ, sizes of effects."""
+        further = np.full(self.scattered.size - self.free, SURROGATE**2)
+        further[:self.size - self.free] = self.fit.model.session_share**2
+        return np.asarray(block_diag(covariance / np.sqrt(np.outer(self.population, self.population)),
+                                     np.diag(further)))
 
-    def design(self, row: int, part: EffectColumns | None = None, weight: float = 0.0) -> Array:
-        """Return the columns of (b, r, a) among a session's base and effect columns."""
-        sizes = 0 if part is None else part.at.stop - part.at.start
-        out = np.zeros((self.basis.shape[1], self.size + len(self.resets) + 2 * sizes))
-        out[:self.size, :self.size] = np.eye(self.size)
-        for k, reset in enumerate(self.resets):
-            out[reset.constant, self.size + k] = float(row >= reset.before)
-        if part is not None:
-            out[self.size + part.at.start:self.size + part.at.stop, self.size + len(self.resets):] = np.concatenate(
-                [np.eye(sizes), weight * np.eye(sizes)], axis=1)
-        return out
+    def design(self, part: EffectColumns | None = None, weight: float = 0.0) -> Array:
+        """Return the columns of (b, r), and with an effect of (c, a₀, a), among those of a session's sums."""
+        every, known = np.eye(self.offset.size), self.size + len(self.resets)
+        if part is None:
+            return every[:, :known]
+        own = every[:, known + part.at.start:known + part.at.stop]
+        return np.concatenate([every[:, :known], weight * (every * self.offset)[:, :self.size], own, weight * own],
+                              axis=1)
 
     def scatter(self, change: Change | None = None, rounds: int = 12) -> Array:
-        """Return the variance of each free constant between sessions, by expectation maximisation given a change.
+        """Return the covariance of the free constants between sessions, by expectation maximisation given a change.
 
         The deviations change by less than 2 % after so many `rounds`.
         """
-        variance = self.published.copy()
-        free = self.free
-        designs = [self.design(k) if change is None else self.design(k, change.part, w)
-                   for k, w in enumerate(np.zeros(self.count) if change is None else self.weights_of(change))]
+        free, unit = self.free, np.sqrt(np.outer(self.population, self.population))
+        covariance = np.diag(self.published)
+        designs = self._designs(change)
         for _ in range(rounds):
-            sessions = self.integrated(variance)
-            covariance, mean = _solved(designs, sessions)
-            total = np.zeros(free)
+            sessions = self.integrated(covariance)
+            of, mean = _solved(designs, sessions)
+            total = np.zeros((free, free))
             for u, sums, inner in zip(designs, self.sums, sessions.inner, strict=True):
-                # E step: mean and variance of the session's deviation, with the uncertainty of (b, r, a)
-                carried = inner[:free] @ (sums.square[:self.size] @ u)
-                deviation = inner[:free] @ sums.pull[:self.size] - carried @ mean
-                total += deviation**2 + np.diag(inner)[:free] + np.sum((carried @ covariance) * carried, axis=1)
-            # M step, under the inverse-gamma prior about the published variance
-            variance = (self.scatter_sessions * self.published + total * self.population) / (
-                self.scatter_sessions + self.count)
-        return variance
+                # E step: mean and covariance of the session's deviation, with the uncertainty of (b, r, c, a₀, a)
+                carried = inner[:free] @ (sums.square[self.scattered] @ u)
+                deviation = inner[:free] @ sums.pull[self.scattered] - carried @ mean
+                total += np.outer(deviation, deviation) + inner[:free, :free] + carried @ of @ carried.T
+            # M step, under the inverse-Wishart prior about the published variances
+            covariance = (self.weight * np.diag(self.published) + total * unit) / (self.weight + self.count)
+        return np.asarray(covariance)
+
+    def deviations(self, covariance: Array) -> Array:
+        """Return 1σ between sessions of each free constant, in coordinates, from the covariance of `scatter`.
+
+        It is the mode of one variance alone, under its inverse-gamma prior of the weight of `scatter_sessions`.
+        """
+        more = (self.weight + self.count) * np.diag(covariance) - (self.weight - self.scatter_sessions) * self.published
+        return np.asarray(np.sqrt(more / (self.scatter_sessions + self.count)))
+
+    def _designs(self, change: Change | None) -> list[Array]:
+        if change is None:
+            return [self.design()] * self.count
+        return [self.design(change.part, w) for w in self.weights_of(change)]
 
     # -- changes -----------------------------------------------------------------------------------------------------
 
@@ -195,110 +249,85 @@ class SessionSequence:
         return np.asarray(self.weights()[change.course][change.since - self.begins[0]])
 
     def search(self) -> tuple[list[Change], Array]:
-        """Return the changes, best first, one an effect, and the variance of each free constant between sessions.
+        """Return the changes, best first, one an effect, and the covariance of the free constants between sessions.
 
-        Evidence of a change against that of no change, each with the scatter of constants and of the effect's size that
-        it supports best.
+        Evidence of a change against that of no change, each with the scatter of the constants that it supports best.
         """
         plain = self.scatter()
         if not self.begins.size:
             return [], plain
-        best: dict[str, tuple[Change, Array]] = {}
-        without: dict[str, float] = {}
-        offered = [self.published, plain]
-        while offered:
-            variance = offered.pop()
-            found = self._searched(self.integrated(variance))
-            for change, null in found:
-                without[change.effect] = max(null, without.get(change.effect, -np.inf))
-                if change.effect not in best or change.nats > best[change.effect][0].nats:
-                    best[change.effect] = change, variance
-            if variance is plain or variance is self.published:
-                offered.insert(0, self.scatter(max(found, key=lambda pair: pair[0].nats - pair[1])[0]))
-        against = [(change._replace(nats=change.nats - without[change.effect]), of) for change, of in best.values()]
-        order = sorted(against, key=lambda item: -item[0].nats)
-        return [change for change, _ in order], order[0][1]
+        offered = [plain, np.diag(self.published)]
+        found = [self._evidence(each) for each in offered]
+        changes = self._changes(found)
+        offered.append(self.scatter(changes[0]))
+        found.append(self._evidence(offered[-1]))
+        changes = self._changes(found)
+        best = max(range(len(found)), key=lambda k: max(float(of.changed.max()) for of in found[k]))
+        return changes, offered[best]
 
-    def _base(self, sessions: _IntegratedSessions) -> _Base:
-        """Return the information about (b, r) without a change, and its products with the effect columns."""
-        designs = [self.design(k) for k in range(self.count)]
-        rows = [u.T @ square for u, square in zip(designs, sessions.square, strict=True)]
-        return _Base(np.eye(designs[0].shape[1]) + sum(row @ u for row, u in zip(rows, designs, strict=True)),
-                     sum(u.T @ pull for u, pull in zip(designs, sessions.pull, strict=True)),
-                     np.stack([row[:, self.size:] for row in rows]))
-
-    def _searched(self, sessions: _IntegratedSessions) -> list[tuple[Change, float]]:
-        """Return the best variant of each effect with log evidence in place of the Bayes factor, and that of no change.
-        """
-        base = self._base(sessions)
-        best: dict[str, tuple[Change, float]] = {}
+    def _evidence(self, covariance: Array) -> list[_Evidence]:
+        """Return the log evidence of each variant with deviations of a `covariance` of the free constants."""
+        sessions, weights = self.integrated(covariance), np.concatenate(list(self.weights().values()))
+        known = [self._known(sessions, w, h) for h in OFFSETS for w in weights]
+        nats = np.array([each.nats for each in known]) + sessions.constant
+        effects, found = self.columns[-1].at.stop, []
         for part in self.columns:
-            change, null = self._evidence(sessions, base, part)
-            if part.effect in best:
-                null = max(null, best[part.effect][1])
-                change = max(change, best[part.effect][0], key=lambda one: one.nats)
-            best[part.effect] = change, null
-        return list(best.values())
+            row = np.arange(part.at.start, part.at.stop)
+            row = np.concatenate([row, effects + row])
+            found.append(_variant(np.array([each.square[np.ix_(row, row)] for each in known]),
+                                  np.array([each.pull[row] for each in known]), nats, (len(OFFSETS), len(weights))))
+        return found
 
-    def _shares(self, part: EffectColumns) -> Sequence[float]:
-        """Return the variances of an effect's size between sessions that are averaged, relative to `SURROGATE`².
+    def _known(self, sessions: _IntegratedSessions, w: Array, h: float) -> _Information:
+        """Return the information about (a₀, a) of all effects after (b, r, c) are integrated out.
 
-        An effect along constants that are followed has their variance.  The slope by a constant that cannot be negative
-        differs from session to session.  Without a variance three benches without a change reach 10 to 17 nats in 20
-        sessions, averaged over effects.  With `SURROGATE`² alone they reach 0.5 to 11, with these nodes 0.5 to 8.5.
+        `w`: share of the change in each session.
         """
-        table = self.fit.model.constants
-        followed = {table.names[i] for i in table.free if table.rows[i].form != "positive"}
-        along = {name for direction in part.variant.directions for name in direction.along}
-        return (1.0, 4.0, 16.0, 64.0) if part.variant.at or not along <= followed else (0.0,)
+        base, effects = self.size + len(self.resets), slice(self.size + len(self.resets), None)
+        c = slice(0, self.size if h else 0)
+        scale = h * self.offset[c]
+        always, always_pull = sessions.square.sum(axis=0), sessions.pull.sum(axis=0)
+        once, once_pull, twice = np.tensordot(w, sessions.square, 1), w @ sessions.pull, np.tensordot(
+            w**2, sessions.square, 1)
+        inside = np.block([[always[:base, :base], once[:base, c] * scale],
+                           [scale[:, None] * once[c, :base], scale[:, None] * twice[c, c] * scale]])
+        between = np.block([[always[:base, effects], once[:base, effects]],
+                            [scale[:, None] * once[c, effects], scale[:, None] * twice[c, effects]]])
+        pull = np.concatenate([always_pull[:base], scale * once_pull[c]])
+        factor = cho_factor(np.eye(pull.size) + inside)
+        carried = cho_solve(factor, np.column_stack([pull, between]))
+        square = np.block([[always[effects, effects], once[effects, effects]],
+                           [once[effects, effects], twice[effects, effects]]])
+        return _Information(0.5 * float(pull @ carried[:, 0]) - float(np.log(np.diag(factor[0])).sum()),
+                            square - between.T @ carried[:, 1:],
+                            np.concatenate([always_pull[effects], once_pull[effects]]) - between.T @ carried[:, 0])
 
-    def _evidence(self, sessions: _IntegratedSessions, base: _Base, part: EffectColumns) -> tuple[Change, float]:
-        """Return one variant with the log evidence, nats, of a change by it and of no change.
+    def _changes(self, found: Sequence[Sequence[_Evidence]]) -> list[Change]:
+        """Return the best variant of each effect, best first; `found`: evidence by covariance and variant."""
+        none: dict[str, float] = {}
+        for of in found:
+            for part, one in zip(self.columns, of, strict=True):
+                none[part.effect] = max(one.none, none.get(part.effect, -np.inf))
+        best: dict[str, Change] = {}
+        for k, part in enumerate(self.columns):
+            offered = [of[k] for of in found]
+            every = np.max([one.changed for one in offered], axis=0)
+            nats = float(logsumexp(every)) - float(np.log(every.size)) - none[part.effect]
+            if part.effect not in best or nats > best[part.effect].nats:
+                likeliest = max(offered, key=lambda one: float(one.changed.max()))
+                best[part.effect] = self._change(part, nats, every, likeliest)
+        return sorted(best.values(), key=lambda change: -change.nats)
 
-        Both are averaged over the scatters of its size between sessions; a change, over course and begin, too, of which
-        the likeliest are returned.
-        """
-        own = slice(self.size + part.at.start, self.size + part.at.stop)
-        square, pull, between = sessions.square[:, own, own], sessions.pull[:, own], base.cross[:, :, part.at]
-        w, eye = np.concatenate(list(self.weights().values())), np.eye(square.shape[1])
-        found = []
-        for share in self._shares(part):
-            # a size of variance τ² in each session is integrated out: (I + τ²G)⁻¹, Woodbury's identity
-            variance = share * SURROGATE**2
-            less = np.linalg.inv(eye + variance * square)
-            kept, pulled, across = less @ square, np.einsum("sab,sb->sa", less, pull), between @ less.transpose(0, 2, 1)
-            precision = base.precision - variance * np.einsum("spa,sqa->pq", across, between, optimize=True)
-            mean = base.pull - variance * np.einsum("spa,sa->p", across, pull)
-            always = across.sum(axis=0)
-            null = _integral(precision, mean) + 0.5 * float(np.linalg.slogdet(less)[1].sum()) + (
-                0.5 * variance * float(np.sum(pull * pulled)))
-            covariance = np.linalg.inv(precision)
-            mean = covariance @ mean
-            before = eye + kept.sum(axis=0) - always.T @ covariance @ always
-            first = pulled.sum(axis=0) - always.T @ mean
-            carried = np.einsum("ws,spa->wpa", w, across)
-            led = np.einsum("wpa,pq->wqa", carried, covariance, optimize=True)
-            cross = np.einsum("ws,sab->wab", w, kept) - np.einsum("wqa,qb->wab", led, always)
-            inner = eye + np.einsum("ws,sab->wab", w**2, kept) - np.einsum("wqa,wqb->wab", led, carried)
-            solved = np.linalg.inv(before)
-            inner -= cross @ solved @ cross.transpose(0, 2, 1)
-            g = w @ pulled - np.einsum("wpa,p->wa", carried, mean) - cross @ solved @ first
-            sizes = np.linalg.solve(inner, g[:, :, None])[:, :, 0]
-            prior = -0.5 * self.scatter_sessions * (np.log(share) + 1.0 / share) if share else 0.0
-            found.append((prior + null + _integral(before, first), 0.5 * np.einsum("wa,wa->w", g, sizes)
-                          - 0.5 * np.linalg.slogdet(inner)[1], sizes, inner))
-        none = sessions.constant - np.log(len(found)) + np.array([of for of, *_ in found])
-        weighted = none[:, None] + np.array([nats for _, nats, *_ in found])
-        nats, at = logsumexp(weighted, axis=0), int(weighted.max(axis=0).argmax())
-        _, _, sizes, inner = found[int(weighted[:, at].argmax())]
-        total = float(logsumexp(nats))
-        share_of = np.exp(nats - total).reshape(len(COURSES), -1)
-        summed = np.cumsum(share_of.sum(axis=0))
-        low, high = (int(np.searchsorted(summed, q)) for q in (0.025, 0.975))
+    def _change(self, part: EffectColumns, nats: float, every: Array, found: _Evidence) -> Change:
+        """Return a change with its likeliest course and begin, and the 95 % interval of its begin."""
         begins = self.begins
-        return Change(part.effect, total - float(np.log(nats.size)), COURSES[at // begins.size],
-                      int(begins[at % begins.size]), int(begins[low]), int(begins[min(high, begins.size - 1)]),
-                      sizes[at], np.sqrt(np.diag(np.linalg.inv(inner[at]))), part), float(logsumexp(none))
+        share = np.exp(every - logsumexp(every)).sum(axis=0)
+        summed = np.cumsum(share.reshape(len(COURSES), -1).sum(axis=0))
+        low, high = (int(np.searchsorted(summed, q)) for q in (0.025, 0.975))
+        at = int(share.argmax())
+        h = int(found.changed[:, at].argmax())
+        return Change(part.effect, nats, COURSES[at // begins.size], int(begins[at % begins.size]), int(begins[low]),
+                      int(begins[min(high, begins.size - 1)]), found.sizes[h, at], found.sizes_sd[h, at], part)
 
     # -- constants ---------------------------------------------------------------------------------------------------
 
@@ -314,29 +343,31 @@ class SessionSequence:
                     square[k] += (share * direction.sd * sd) ** 2
         return out, np.sqrt(square)
 
-    def constants(self, variance: Array, change: Change | None = None) -> tuple[Array, Array]:
+    def constants(self, covariance: Array, change: Change | None = None) -> tuple[Array, Array]:
         """Return each session's free constants and their 1σ, departures from the reference, shape (sessions, free)."""
-        sessions = self.integrated(variance)
+        sessions, designs = self.integrated(covariance), self._designs(change)
         weights = np.zeros(self.count) if change is None else self.weights_of(change)
-        designs = [self.design(k, None if change is None else change.part, w) for k, w in enumerate(weights)]
-        covariance, mean = _solved(designs, sessions)
+        known, mean = _solved(designs, sessions)
         of, unit = np.zeros(self.free) if change is None else self.moved(change)[0], np.sqrt(self.population)
         means, sds = [], []
         for u, w, sums, inner in zip(designs, weights, self.sums, sessions.inner, strict=True):
-            carried = inner[:self.free] @ (sums.square[:self.size] @ u)
+            carried = inner[:self.free] @ (sums.square[self.scattered] @ u)
             whole = u[:self.free] - carried
-            means.append((u[:self.free] @ mean + inner[:self.free] @ sums.pull[:self.size] - carried @ mean) * unit
+            means.append((u[:self.free] @ mean + inner[:self.free] @ sums.pull[self.scattered] - carried @ mean) * unit
                          + w * of)
-            sds.append(np.sqrt(np.diag(inner)[:self.free] + np.sum((whole @ covariance) * whole, axis=1)) * unit)
+            sds.append(np.sqrt(np.diag(inner)[:self.free] + np.sum((whole @ known) * whole, axis=1)) * unit)
         return np.array(means), np.array(sds)
 
-    def departure(self, session: SessionSums, variance: Array) -> tuple[Array, Array, float]:
+    def departure(self, session: SessionSums, covariance: Array) -> tuple[Array, Array, float]:
         """Return how far a further session is from the bench: its constants' departure, that over the scatter, and the
         probability that a session in the reference condition departs as far in all constants together."""
-        covariance, mean = _solved([self.design(k) for k in range(self.count)], self.integrated(variance))
-        last = self.design(self.count)[:self.size]
-        sums, bench = self._reduced(session), last @ mean
-        prior = last @ covariance @ last.T + np.diag(self._growth(session.growth) * self._deviation(variance))
+        known, mean = _solved(self._designs(None), self.integrated(covariance))
+        last = np.eye(self.size, mean.size)
+        for k, one in enumerate(self.resets):
+            last[one.constant, self.size + k] = 1.0
+        sums, bench, growth = self._reduced(session, self.count), last @ mean, np.sqrt(self._growth(session.growth))
+        deviation = self._deviation(covariance)[:self.size, :self.size]
+        prior = last @ known @ last.T + growth[:, None] * deviation * growth
         square = sums.square[:self.size, :self.size]
         residual = sums.pull[:self.size] - square @ bench
         departure: Array = np.asarray(np.linalg.solve(np.linalg.inv(prior) + square, residual), np.float64)
@@ -349,11 +380,6 @@ class SessionSequence:
                 float(chi2.sf(squared, int(kept.sum()))))
 
 
-def _integral(precision: Array, pull: Array) -> float:
-    """Return the log of a Gaussian integral over parameters with a prior of N(0, 1), nats."""
-    return 0.5 * float(pull @ np.linalg.solve(precision, pull)) - 0.5 * float(np.linalg.slogdet(precision)[1])
-
-
 def _solved(designs: Sequence[Array], sessions: _IntegratedSessions) -> tuple[Array, Array]:
     """Return covariance and mean of the parameters of `designs`, with a prior of N(0, 1)."""
     precision, pull = np.eye(designs[0].shape[1]), np.zeros(designs[0].shape[1])
@@ -361,6 +387,24 @@ def _solved(designs: Sequence[Array], sessions: _IntegratedSessions) -> tuple[Ar
         precision, pull = precision + u.T @ square @ u, pull + u.T @ g
     covariance: Array = np.asarray(np.linalg.inv(precision), np.float64)
     return covariance, covariance @ pull
+
+
+def _variant(blocks: Array, pulls: Array, base: Array, shape: tuple[int, int]) -> _Evidence:
+    """Return the evidence of one variant from the information about (a₀, a) and its pull with each h, course and begin.
+
+    `base`: log evidence of (b, r, c) alone; the first is that without c.
+    """
+    half = pulls.shape[1] // 2
+    precision = np.eye(2 * half) + blocks
+    covariance = np.linalg.inv(precision)
+    sizes = np.einsum("wab,wb->wa", covariance, pulls)
+    nats = 0.5 * np.einsum("wa,wa->w", pulls, sizes) - 0.5 * np.linalg.slogdet(precision)[1]
+    # without a change: a₀ alone, without c
+    none = precision[0, :half, :half]
+    alone = 0.5 * pulls[0, :half] @ np.linalg.solve(none, pulls[0, :half]) - 0.5 * np.linalg.slogdet(none)[1]
+    sds = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[:, half:])
+    return _Evidence(float(base[0] + alone), (base + nats).reshape(shape), sizes[:, half:].reshape(*shape, half),
+                     sds.reshape(*shape, half))
 
 
 def _basis(squares: Sequence[Array], free: int, size: int, least: float = 0.5) -> Array:

@@ -324,15 +324,15 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
                                                               for n, v in (limits or {}).items()], **common)
     numbers, sequence = followed
     with threadpool_limits(1, user_api="blas"):
-        changes, variance = sequence.search() if sequence.count > 1 else ([], sequence.scatter())
+        changes, covariance = sequence.search() if sequence.count > 1 else ([], sequence.scatter())
         best = changes[0] if changes and averaged_nats(changes) >= ALARM_NATS else None
-        courses = _courses(sequence, variance, best)
+        courses = _courses(sequence, covariance, best)
     dated = [_dated(sequence, numbers, change) for change in changes]
     alarms = [c for c in dated if best is not None and c.nats >= SET_SHARE * best.nats]
     return BenchState(
         sessions=numbers, courses=courses, changes=dated, alarms=alarms,
         forecasts=[_forecast(sequence, best, courses, n, v) for n, v in (limits or {}).items()],
-        scatter=dict(zip(CONSTANTS, np.sqrt(variance).tolist(), strict=True)),
+        scatter=dict(zip(CONSTANTS, sequence.deviations(covariance).tolist(), strict=True)),
         cause=kept_cause(book, alarms[0], numbers, common["notes"]) if alarms else None, **common)
 
 
@@ -368,9 +368,10 @@ def measured_deviations(book: Logbook) -> dict[str, float] | None:
     followed = sequence_of(book)
     if followed is None or followed[1].count < 2:
         return None
+    sequence = followed[1]
     with threadpool_limits(1, user_api="blas"):
-        _, variance = followed[1].search()
-    return dict(zip(CONSTANTS, np.sqrt(variance).tolist(), strict=True))
+        _, covariance = sequence.search()
+    return dict(zip(CONSTANTS, sequence.deviations(covariance).tolist(), strict=True))
 
 
 def _before(order: Sequence[int], numbers: Sequence[int], after: int) -> int:
@@ -384,8 +385,8 @@ def _dated(sequence: SessionSequence, numbers: Sequence[int], change: Change) ->
     return DatedChange(change.effect, change.nats, change.course, since, low, high, sequence.moved(change)[0])
 
 
-def _courses(sequence: SessionSequence, variance: Array, change: Change | None) -> dict[str, ConstantCourse]:
-    means, sds = sequence.constants(variance, change)
+def _courses(sequence: SessionSequence, covariance: Array, change: Change | None) -> dict[str, ConstantCourse]:
+    means, sds = sequence.constants(covariance, change)
     mean = sequence.fit.prior.coordinates(PATH_MODEL.constants)
     found = {}
     for k, i in enumerate(FREE):
@@ -398,7 +399,7 @@ def _courses(sequence: SessionSequence, variance: Array, change: Change | None) 
 
         ends = np.stack([at(means[:, k] - 1.96 * sds[:, k]), at(means[:, k] + 1.96 * sds[:, k])])
         scatter, published = (float(abs(np.diff(at(np.array([0.0, sd])))[0]))
-                              for sd in np.sqrt([variance[k], sequence.published[k]]))
+                              for sd in (sequence.deviations(covariance)[k], math.sqrt(sequence.published[k])))
         found[row.name] = ConstantCourse(row.name, row.unit, row.meaning, at(means[:, k]), ends.min(axis=0),
                                          ends.max(axis=0), scatter, published)
     return found
