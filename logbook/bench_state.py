@@ -332,7 +332,7 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
     return BenchState(
         sessions=numbers, courses=courses, changes=dated, alarms=alarms,
         forecasts=[_forecast(sequence, best, courses, n, v) for n, v in (limits or {}).items()],
-        scatter=dict(zip(CONSTANTS, sequence.deviations(covariance).tolist(), strict=True)),
+        scatter=dict(zip(CONSTANTS, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
         cause=kept_cause(book, alarms[0], numbers, common["notes"]) if alarms else None, **common)
 
 
@@ -368,10 +368,9 @@ def measured_deviations(book: Logbook) -> dict[str, float] | None:
     followed = sequence_of(book)
     if followed is None or followed[1].count < 2:
         return None
-    sequence = followed[1]
     with threadpool_limits(1, user_api="blas"):
-        _, covariance = sequence.search()
-    return dict(zip(CONSTANTS, sequence.deviations(covariance).tolist(), strict=True))
+        _, covariance = followed[1].search()
+    return dict(zip(CONSTANTS, np.sqrt(np.diag(covariance)).tolist(), strict=True))
 
 
 def _before(order: Sequence[int], numbers: Sequence[int], after: int) -> int:
@@ -399,7 +398,7 @@ def _courses(sequence: SessionSequence, covariance: Array, change: Change | None
 
         ends = np.stack([at(means[:, k] - 1.96 * sds[:, k]), at(means[:, k] + 1.96 * sds[:, k])])
         scatter, published = (float(abs(np.diff(at(np.array([0.0, sd])))[0]))
-                              for sd in (sequence.deviations(covariance)[k], math.sqrt(sequence.published[k])))
+                              for sd in np.sqrt([covariance[k, k], sequence.published[k]]))
         found[row.name] = ConstantCourse(row.name, row.unit, row.meaning, at(means[:, k]), ends.min(axis=0),
                                          ends.max(axis=0), scatter, published)
     return found
