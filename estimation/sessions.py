@@ -37,8 +37,6 @@ from estimation.reference_fit import ReferenceFit
 from physics.laws import Array
 
 COURSES: Final = ("step", "ramp")
-OFFSETS: Final = (0.0, 1.0)
-"""Nodes of h, the common departure of the constants beside the effect, in 1σ between sessions."""
 
 
 class Change(NamedTuple):
@@ -271,14 +269,14 @@ class SessionSequence:
     def _evidence(self, covariance: Array) -> list[_Evidence]:
         """Return the log evidence of each variant with deviations of a `covariance` of the free constants."""
         sessions, weights = self.integrated(covariance), np.concatenate(list(self.weights().values()))
-        known = [self._known(sessions, w, h) for h in OFFSETS for w in weights]
+        known = [self._known(sessions, w, h) for h in (0.0, 1.0) for w in weights]
         nats = np.array([each.nats for each in known]) + sessions.constant
         effects, found = self.columns[-1].at.stop, []
         for part in self.columns:
             row = np.arange(part.at.start, part.at.stop)
             row = np.concatenate([row, effects + row])
             found.append(_variant(np.array([each.square[np.ix_(row, row)] for each in known]),
-                                  np.array([each.pull[row] for each in known]), nats, (len(OFFSETS), len(weights))))
+                                  np.array([each.pull[row] for each in known]), nats, (2, len(weights))))
         return found
 
     def _known(self, sessions: _IntegratedSessions, w: Array, h: float) -> _Information:
