@@ -4,20 +4,42 @@ import json
 import math
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import Any, NamedTuple
 
 
-class CommandAnswer(NamedTuple):
-    """Result of a command: one JSON object, the lines that show it in words, and the exit status.
+class AnswerTable(NamedTuple):
+    """A table; the first column is text, the others are figures.
 
-    `words` is text, lines, or a function that prints them (tables).
+    A number has two decimal places, a whole number none, an undefined one is a dash.
+    """
+
+    title: str
+    header: Sequence[str]
+    rows: Iterable[Sequence[str | float | None]]
+
+
+class Paragraph(NamedTuple):
+    """A text in lines of at most `WIDTH` columns."""
+
+    text: str
+    indent: str = ""
+
+
+Words = Iterator[str | AnswerTable | Paragraph]
+"""Lines, tables and paragraphs of an answer, in order."""
+
+
+class CommandAnswer(NamedTuple):
+    """Result of a command: one JSON object, the words that show it, and the exit status.
+
+    An empty line of `words` is left out. Words that take time come from a generator, which does not run with --json.
     """
 
     result: Mapping[str, Any]
-    words: str | Sequence[str] | Callable[[], None]
+    words: str | Iterable[str | AnswerTable | Paragraph]
     status: int = 0
 
 
@@ -41,10 +63,9 @@ def show(answer: CommandAnswer) -> int:
     """Print an answer as JSON or in words, and return its exit status."""
     if quiet():
         emit(answer.result)
-    elif callable(answer.words):
-        answer.words()
-    elif answer.words:
-        print(answer.words if isinstance(answer.words, str) else "\n".join(answer.words))
+    else:
+        for part in [answer.words] if isinstance(answer.words, str) else answer.words:
+            _print(part)
     return answer.status
 
 
@@ -69,33 +90,39 @@ def _defined(value: Any) -> Any:
     return value
 
 
-def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a Rich table on stdout; the first column is text, the others are figures."""
+def _print(part: str | AnswerTable | Paragraph) -> None:
+    if isinstance(part, AnswerTable):
+        _draw(part)
+    elif isinstance(part, Paragraph):
+        print(textwrap.fill(part.text, WIDTH, initial_indent=part.indent, subsequent_indent=part.indent,
+                            break_long_words=False, break_on_hyphens=False))
+    elif part:
+        print(part)
+
+
+def _draw(table: AnswerTable) -> None:
+    """Print a Rich table on stdout."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     drawn = Table()
-    words = [word for cell in (header[0], *(row[0] for row in rows)) for word in cell.split()]
+    rows = [[cell if isinstance(cell, str) else number(cell, 0 if isinstance(cell, int) else 2) for cell in row]
+            for row in table.rows]
+    words = [word for cell in (table.header[0], *(row[0] for row in rows)) for word in cell.split()]
     narrowest = min(max(map(len, words), default=1), WIDTH // 2)  # no name of the first column is cut in two
-    for i, name in enumerate(header):
+    for i, name in enumerate(table.header):
         drawn.add_column(name, justify="left" if i == 0 else "right", overflow="fold",
                          min_width=narrowest if i == 0 else None)
     for row in rows:
-        drawn.add_row(*(Text(cell) for cell in row))  # [g] in a name is no markup
+        drawn.add_row(*map(Text, row))  # [g] in a name is no markup
     console = Console()
-    console.print(Text(title))
+    console.print(Text(table.title))
     console.print(drawn)
 
 
 WIDTH = 80
-"""Greatest width of a sentence on stdout, columns of the terminal."""
-
-
-def sentence(text: str, indent: str = "") -> None:
-    """Print a sentence in lines of at most `WIDTH` columns."""
-    print(textwrap.fill(text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False,
-                        break_on_hyphens=False))
+"""Greatest width of a paragraph on stdout, columns of the terminal."""
 
 
 def remark(text: str) -> None:
@@ -109,7 +136,7 @@ def size(count: int) -> str:
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """Format a figure for a table; an undefined one is a dash."""
+    """Format a figure; an undefined one is a dash."""
     return "–" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
 
 

@@ -263,12 +263,11 @@ def test_each_cell_of_the_grid_has_a_line_with_why_its_trials_stopped() -> None:
          "median": {"relative_rmse_percent": 20.0}}]
 
 
-def test_the_terminal_shows_the_cells(capsys: pytest.CaptureFixture[str]) -> None:
-    sweep_command._tell_cells([
+def test_the_terminal_shows_the_cells() -> None:
+    lines = list(sweep_command._words_of_cells([
         {"cell": {"gait.controller": name, "controller.share": ""}, "trials": 1, "completed": done, "stopped": stopped,
          "median": median}
         for name, done, stopped, median in (
-            ("paper", 1, {}, {"relative_rmse_percent": 5.0}), ("none", 0, {"START above 100 N": 1}, {}))])
-    told = capsys.readouterr().out
-    assert "  controller = paper: 1 of 1 completed, 5.00\n" in told
-    assert "  controller = none: 0 of 1 completed, –\n    1 not completed: START above 100 N\n" in told
+            ("paper", 1, {}, {"relative_rmse_percent": 5.0}), ("none", 0, {"START above 100 N": 1}, {}))]))
+    assert lines[1:] == ["  controller = paper: 1 of 1 completed, 5.00", "  controller = none: 0 of 1 completed, –",
+                         "    1 not completed: START above 100 N"]

@@ -12,7 +12,7 @@ from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import Bus, SimulatedOptions, option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 from parameters.files import write_whole
 
@@ -91,18 +91,18 @@ def monitor_bounds(trials: BenchTrials, person: PersonFile, output: NewPersonFil
         found, text = bench_bounds.of_trials(trials, person)
     write_whole(output, text, overwrite=True)
     return CommandAnswer({"person": str(output), "bounds": {bound.key: bound._asdict() for bound in found}},
-                         lambda: _tell_bounds(output, found))
+                         _words_of_bounds(output, found))
 
 
-def _tell_bounds(output: Path, found: list[BenchBound]) -> None:
+def _words_of_bounds(output: Path, found: list[BenchBound]) -> Words:
     margin, ranges = bench_bounds.BENCH_MARGIN, persons.RANGES
-    terminal.table("bounds of the bench", ("bound", "unit", "largest", f"× {margin}", "before", "now"), [
+    yield AnswerTable("bounds of the bench", ("bound", "unit", "largest", f"× {margin}", "before", "now"), [
         (bench_bounds.NAMES[bound.key], ranges[bound.key][0],
          *(f"{value:.3g}" for value in (bound.largest, margin * bound.largest, bound.before, bound.after)))
         for bound in found])
     raised = [f"{bound.key} {bound.before:g} to {bound.after:g} {ranges[bound.key][0]}"
               for bound in found if bound.after > bound.before]
-    print(f"{output}: " + (f"larger now: {'; '.join(raised)}." if raised else "no bound had to be larger."))
+    yield f"{output}: " + (f"larger now: {'; '.join(raised)}." if raised else "no bound had to be larger.")
 
 
 Person = Annotated[str, typer.Argument(metavar="FILE", help="Bounds of one person, or packaged.")]

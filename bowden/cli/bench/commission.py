@@ -9,7 +9,7 @@ from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import Bus, argument, option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer
 from bowden.deferred import on_first_use
 from parameters import InputError
 
@@ -128,14 +128,12 @@ class _Bench:
         result = {"procedure": what, "outcome": "completed" if outcome.reason is None else "stopped",
                   "stop_reason": outcome.reason, "missed_cycles": outcome.missed_cycles, **found}
 
-        def words() -> None:
-            if found:
-                terminal.table(what, ("figure", "value"), [
-                    (name, terminal.number(value, 4)) for name, value in found.items()])
-            print(f"{what}, {self.chosen.in_words}: {result['outcome']}"
-                  + (f": {outcome.reason}" if outcome.reason else "."))
-
-        return CommandAnswer(result, words, ending.status_of(str(result["outcome"]), outcome.reason))
+        return CommandAnswer(result, [
+            *([AnswerTable(what, ("figure", "value"), [
+                (name, terminal.number(value, 4)) for name, value in found.items()])] if found else []),
+            f"{what}, {self.chosen.in_words}: {result['outcome']}"
+            + (f": {outcome.reason}" if outcome.reason else "."),
+        ], ending.status_of(str(result["outcome"]), outcome.reason))
 
 
 @app.command()

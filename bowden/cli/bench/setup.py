@@ -15,7 +15,7 @@ from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import CommandGroup, app
 from bowden.cli.options import Bus, SimulatedOptions, argument, new_file, option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer
 from bowden.deferred import on_first_use
 from parameters import InputError, declarations
 from parameters.files import write_whole
@@ -85,28 +85,6 @@ def check_config(file: ConfigFile) -> CommandAnswer:
     fits = bus_load.rate_that_fits(built)
     reason = f"reason: {limits.raised}." if limits.raised else "commands ask for --raise-limits REASON."
 
-    def words() -> None:
-        for text in above:
-            print(f"{file}: {text}: above what is packaged; {reason}")
-        terminal.table(
-            f"{file}: load {found.load_percent:.2f} % (goal {bus_load.LOAD_GOAL_PERCENT:g} %), last input at "
-            f"{found.inputs_ns / 1e3:.0f} µs, due at {found.deadline_ns / 1e3:.0f} µs",
-            ("stream", "COB-ID", "bits", "period (µs)", "worst response (µs)"), [
-                (stream.name, f"{stream.can_id:03X}h", str(stream.bits()), f"{stream.period_ns / 1e3:.0f}",
-                 terminal.number(None if response is None else response / 1e3, 0))
-                for stream, response in found.responses])
-        terminal.table(f"{file}: limits of each force path", ("limit", *of_paths), [
-            (f"{name} ({unit})" if unit else name, *(f"{getattr(found, name):g}" for found in of_paths.values()))
-            for name, unit in _numbers(limits)])
-        terminal.table(f"{file}: safety functions", limit_holders.COLUMNS, [row.cells for row in held])
-        for text in nobody:
-            print(f"{file}: nobody holds {text}; {reason}")
-        if fits != network.rate_hz:
-            print(f"{file}: rate_hz = {network.rate_hz} is beyond the goal; " + (
-                f"{fits} Hz would fit." if fits else "no rate would fit."))
-        if refused is not None:
-            print(f"{file}: no command runs this bench: {refused}. The wire is planned all the same.")
-
     runs = refused is None and (limits.raised or not (above or nobody))
     return CommandAnswer({
         "refusal": refused, "limits_above_packaged": above, "limits_raised": limits.raised,
@@ -116,8 +94,24 @@ def check_config(file: ConfigFile) -> CommandAnswer:
         "load_percent": found.load_percent, "goal_percent": bus_load.LOAD_GOAL_PERCENT, "rate_that_fits_hz": fits,
         "inputs_ns": found.inputs_ns, "deadline_ns": found.deadline_ns, "streams": [
             {"name": stream.name, "cob_id": stream.can_id, "bits": stream.bits(), "period_ns": stream.period_ns,
-             "response_ns": response} for stream, response in found.responses]},
-        words, 0 if runs and found.load_percent <= bus_load.LOAD_GOAL_PERCENT else 1)
+             "response_ns": response} for stream, response in found.responses]}, [
+        *(f"{file}: {text}: above what is packaged; {reason}" for text in above),
+        AnswerTable(
+            f"{file}: load {found.load_percent:.2f} % (goal {bus_load.LOAD_GOAL_PERCENT:g} %), last input at "
+            f"{found.inputs_ns / 1e3:.0f} µs, due at {found.deadline_ns / 1e3:.0f} µs",
+            ("stream", "COB-ID", "bits", "period (µs)", "worst response (µs)"), [
+                (stream.name, f"{stream.can_id:03X}h", stream.bits(), f"{stream.period_ns / 1e3:.0f}",
+                 terminal.number(None if response is None else response / 1e3, 0))
+                for stream, response in found.responses]),
+        AnswerTable(f"{file}: limits of each force path", ("limit", *of_paths), [
+            (f"{name} ({unit})" if unit else name, *(f"{getattr(found, name):g}" for found in of_paths.values()))
+            for name, unit in _numbers(limits)]),
+        AnswerTable(f"{file}: safety functions", limit_holders.COLUMNS, [row.cells for row in held]),
+        *(f"{file}: nobody holds {text}; {reason}" for text in nobody),
+        f"{file}: rate_hz = {network.rate_hz} is beyond the goal; "
+        f"{f'{fits} Hz would fit.' if fits else 'no rate would fit.'}" if fits != network.rate_hz else "",
+        f"{file}: no command runs this bench: {refused}. The wire is planned all the same." if refused else ""],
+        0 if runs and found.load_percent <= bus_load.LOAD_GOAL_PERCENT else 1)
 
 
 def _numbers(section: Any) -> list[tuple[str, str]]:
@@ -219,18 +213,14 @@ def doctor(
         found = list(examination.examine(sections["network"], reached.chosen(), seconds))
     faults = sum(not finding.good for finding in found)
 
-    def words() -> None:
-        for finding in found:
-            print(f"{'ok ' if finding.good else 'BAD'} {finding.what}: {finding.seen}")
-            if not finding.good:
-                print(f"      {finding.remedy}")
-        terminal.table("safety functions", limit_holders.COLUMNS, [row.cells for row in held])
-        print(f"{faults} faults.")
-
     return CommandAnswer({"findings": [
         {"what": finding.what, "good": finding.good, "seen": finding.seen,
          "remedy": None if finding.good else finding.remedy} for finding in found], "faults": faults,
-        "safety_functions": configuration.held_as_objects(held)}, words, 1 if faults else 0)
+        "safety_functions": configuration.held_as_objects(held)}, [
+        *(f"ok  {finding.what}: {finding.seen}" if finding.good else
+          f"BAD {finding.what}: {finding.seen}\n      {finding.remedy}" for finding in found),
+        AnswerTable("safety functions", limit_holders.COLUMNS, [row.cells for row in held]), f"{faults} faults."],
+        1 if faults else 0)
 
 
 def _soak(reached: Bus, minutes: float, output: Path | None) -> CommandAnswer:

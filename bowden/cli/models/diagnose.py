@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from bowden.cli import options, terminal
 from bowden.cli.app import NothingGivenError, app
 from bowden.cli.options import argument, new_file, option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer, Paragraph, Words
 from bowden.deferred import on_first_use
 from bowden.trials import force_paths
 from parameters import InputError
@@ -96,7 +96,7 @@ def diagnose(
     if logbook is not None and found.verdict != "refused":
         for trial in chosen:
             logbook_entries.add_verdict(logbook, trial, result)
-    return CommandAnswer(result, lambda: _tell(found.found, result), 2 if found.verdict == "refused" else 0)
+    return CommandAnswer(result, _words(found.found, path), 2 if found.verdict == "refused" else 0)
 
 
 def _leave_out(given: dict[str, Any], names: Iterable[str], reason: str) -> None:
@@ -132,64 +132,64 @@ def _each(
     """Diagnose every trial for itself; status 0 with a result for each, 1 if some were refused, 2 if all were."""
     reference = diagnose_each.ReferenceCondition(calibration, tuple(healthy), lowpass)
     with job_workers.workers_of(*where) as crew, terminal.progress("diagnosing") as update:
-        told = diagnose_each.diagnose_each(trials, holdout, reference, crew, update)
-    refused = sum(one["verdict"] == "refused" for one in told.values())
-    return CommandAnswer({"trials": told}, lambda: _tell_each(told, lowpass),
-                         2 if refused == len(told) else 1 if refused else 0)
+        found = diagnose_each.diagnose_each(trials, holdout, reference, crew, update)
+    refused = sum(one["verdict"] == "refused" for one in found.values())
+    return CommandAnswer({"trials": found}, _words_each(found, lowpass),
+                         2 if refused == len(found) else 1 if refused else 0)
 
 
-def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
+def _words_each(found: dict[str, Any], lowpass: float | None) -> Words:
     if lowpass:
-        print(f"Every signal low-passed at {lowpass:g} Hz, without phase.")
-    for trial, one in told.items():
-        print(f"{trial}: {one['verdict']}")
+        yield f"Every signal low-passed at {lowpass:g} Hz, without phase."
+    for trial, one in found.items():
+        yield f"{trial}: {one['verdict']}"
         for cause in one["causes"]:
-            terminal.sentence(f"{words(cause['effect'])}: {_parameters(cause['parameters'])}", "    ")
+            yield Paragraph(f"{words(cause['effect'])}: {_parameters(cause['parameters'])}", "    ")
         if one.get("candidates"):
-            terminal.sentence(
+            yield Paragraph(
                 "no cause named: it ran on the packaged nominal calibration; run bowden identify first", "    ")
         if len(one["class"]) > len(one["causes"]):
-            terminal.sentence(f"cannot be told apart: {', '.join(map(words, one['class']))}", "    ")
-        todo = one["warnings"][0] if one["verdict"] == "refused" else one["experiment"]
-        if todo:
-            terminal.sentence(f"why not: {todo}" if one["verdict"] == "refused" else f"next: {todo}", "    ")
+            yield Paragraph(f"cannot be told apart: {', '.join(map(words, one['class']))}", "    ")
+        if one["verdict"] == "refused":
+            yield Paragraph(f"why not: {one['warnings'][0]}", "    ")
+        elif one["experiment"]:
+            yield Paragraph(f"next: {one['experiment']}", "    ")
 
 
-def _tell(found: Findings, result: dict[str, Any]) -> None:
-    if "path" in result:
-        print(f"Path {result['path']}.")
-    for sentence in headline(found):
-        terminal.sentence(sentence)
+def _words(found: Findings, path: str | None) -> Words:
+    if path is not None:
+        yield f"Path {path}."
+    yield from map(Paragraph, headline(found))
     if not found.candidates:
-        print(f"\nVerdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
-    _tell_signals(result["relations"])
+        yield f"\nVerdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else "")
+    yield from _words_of_signals(found.as_json()["relations"])
     shifts = (found.evidence or {}).get("shifts", {})
     if shifts and found.reference == "healthy" and found.bench is None:
         shown = {name: quantities([one[key] for key in ("from", "to", "low", "high")], one["unit"])
                  for name, one in shifts.items()}
-        terminal.table("constants of the rig, named or not", ("constant", "unit", "reference", "here", "95 %"), [
+        yield AnswerTable("constants of the rig, named or not", ("constant", "unit", "reference", "here", "95 %"), [
             (words(name), unit, reference, here, f"{low} … {high}")
             for name, ((reference, here, low, high), unit) in shown.items()])
     in_headline = int(found.verdict == "refused" and not found.candidates)  # its first warning is the reason
     for warning in found.warnings[in_headline:]:
-        terminal.sentence(f"Warning: {warning}")
+        yield Paragraph(f"Warning: {warning}")
 
 
-def _tell_signals(signals: dict[str, Any]) -> None:
-    """Print the error of each signal, RMS; names are never cut at 80 columns."""
+def _words_of_signals(signals: dict[str, Any]) -> Words:
+    """Yield the error of each signal, RMS; names are never cut at 80 columns."""
     figure = terminal.number
     if not signals:
         return
-    terminal.table("what is left of each signal (RMS, on cycles that the fit has not seen)", (
+    yield AnswerTable("what is left of each signal (RMS, on cycles that the fit has not seen)", (
         "signal", "unit", "floor", "reference", "session", "named", "gain (%)"), [
-        (name, row["unit"], figure(row["floor"], 4), figure(row["rmse_before"], 4), figure(row["rmse_session"], 4),
-         figure(row["rmse_after"], 4), figure(row["gain_percent"], 1)) for name, row in signals.items()])
-    terminal.sentence(
+        (name, row["unit"], *(figure(row[key], 4) for key in ("floor", "rmse_before", "rmse_session", "rmse_after")),
+         figure(row["gain_percent"], 1)) for name, row in signals.items()])
+    yield Paragraph(
         "floor: what reference trials miss of each other; reference: the reference condition's model; session: with "
         "this session's constants adapted; named: with the named effects, too; gain: of named over session.")
     held = {name: row for name, row in signals.items() if row["holdout_before"] is not None}
     if held:
-        terminal.table("on the trials held out, to which nothing was fitted", (
+        yield AnswerTable("on the trials held out, to which nothing was fitted", (
             "signal", "unit", "reference", "session", "named"), [
             (name, row["unit"], *(figure(row[f"holdout_{which}"], 4) for which in ("before", "session", "after")))
             for name, row in held.items()])
@@ -203,18 +203,18 @@ def _parameters(parameters: dict[str, Any]) -> str:
 def _plan(name: str, walk: tuple[Any, ...], calibration: Path | None, healthy: list[Path]) -> CommandAnswer:
     with terminal.waiting(f"simulating {name}"):
         found = experiment_plan.plan(name, experiment_plan.WalkPlan(*walk), calibration, healthy)
-    return CommandAnswer({"experiment": name, **found.as_json()}, lambda: _tell_plan(name, found))
+    return CommandAnswer({"experiment": name, **found.as_json()}, _words_of_plan(name, found))
 
 
-def _tell_plan(name: str, found: Plan) -> None:
-    terminal.table(f"the smallest departure from healthy that {name} shows", (
+def _words_of_plan(name: str, found: Plan) -> Words:
+    yield AnswerTable(f"the smallest departure from healthy that {name} shows", (
         "effect", "smallest", "likely", "seen in"), [
         (limit.effect, "not seen" if limit.size is None else f"{limit.size:.3g} {limit.unit}".rstrip(),
          f"{limit.likely[0]:.3g} … {limit.likely[1]:.3g}", limit.signal or "–") for limit in found.limits])
     for limit in found.limits:
         if limit.like:
-            terminal.sentence(f"{limit.effect} looks like {', '.join(limit.like)}.")
+            yield Paragraph(f"{limit.effect} looks like {', '.join(limit.like)}.")
     if found.blind:
-        terminal.sentence(f"Not seen by any signal: {', '.join(found.blind)}.")
-    terminal.table("signals", ("signal", "unit", "floor"), [
+        yield Paragraph(f"Not seen by any signal: {', '.join(found.blind)}.")
+    yield AnswerTable("signals", ("signal", "unit", "floor"), [
         (name, row["unit"], f"{row['floor']:.3g}") for name, row in found.signals.items()])

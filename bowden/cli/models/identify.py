@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +14,7 @@ from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import Bus, SimulatedOptions, argument, new_file, option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 from bowden.trials import force_paths
 from parameters import InputError, declarations
@@ -57,40 +58,29 @@ def fit(
     if logbook is not None:
         logbook_entries.add_model(logbook, "fit", output)
     known = None if found.rig is not None else found.model.calibration
-    result: dict[str, Any] = {"model": str(output), **found.as_json(), **scalars_json(known)}
-    return CommandAnswer(result, lambda: _tell_fit(output, found))
+    result: dict[str, Any] = {"model": str(output), **found.as_json(), **_scalars_json(known)}
+    return CommandAnswer(result, _words_of_fit(output, found))
 
 
-def _tell_fit(output: Path, found: FittedBench) -> None:
+def _words_of_fit(output: Path, found: FittedBench) -> Words:
     if found.rig is None:
-        show_scalars("calibration", found.model.calibration)
-    title = "constants of the simulation" if found.rig is None else "constants"
-    terminal.table(title, ("constant", "value", "95 % interval", "unit"), [
+        yield from _words_of_scalars("calibration", found.model.calibration)
+    yield AnswerTable(f"constants{' of the simulation' * (found.rig is None)}", (
+        "constant", "value", "95 % interval", "unit"), [
         (name, f"{c.value:.4g}", f"{c.low:.4g} … {c.high:.4g}", c.unit)
         for name, c in found.constants.items() if c.determined])
+    unseen = "on the last part of each trial, which the fit had not seen"
     if found.rig is not None:
-        _tell_rig(found)
+        yield f"A rig of another kind than the bench; terms found: {', '.join(found.rig) or 'none'}."
+        yield AnswerTable(f"measured less predicted, {unseen}", ("signal", "RMS", "of a spread of"), [
+            (name, quantity(row["unseen"], row["unit"]), quantity(row["spread"], row["unit"]))
+            for name, row in found.relations.items()])
     else:
-        _tell_bench(found)
-    for warning in found.warnings:
-        print(f"Warning: {warning}")
-    print(f"Model: {output}")
-
-
-def _tell_rig(found: FittedBench) -> None:
-    print(f"A rig of another kind than the bench; terms found: {', '.join(found.rig or ()) or 'none'}.")
-    terminal.table("measured less predicted, on the last part of each trial, which the fit had not seen", (
-        "signal", "RMS", "of a spread of"), [
-        (name, quantity(row["unseen"], row["unit"]), quantity(row["spread"], row["unit"]))
-        for name, row in found.relations.items()])
-
-
-def _tell_bench(found: FittedBench) -> None:
-    print(f"Not determined by these trials: {', '.join(found.undetermined)}.")
-    terminal.table("measured less simulated, on the last part of each trial, which the fit had not seen", (
-        "signal", "RMS (N)", "peak (N)"), [
-        (name, terminal.number(row["rms_n"]), terminal.number(row["peak_n"], 1))
-        for name, row in found.figures.items()])
+        yield f"Not determined by these trials: {', '.join(found.undetermined)}."
+        yield AnswerTable(f"measured less simulated, {unseen}", ("signal", "RMS (N)", "peak (N)"), [
+            (name, row["rms_n"], terminal.number(row["peak_n"], 1)) for name, row in found.figures.items()])
+    yield from (f"Warning: {warning}" for warning in found.warnings)
+    yield f"Model: {output}"
 
 
 NewCalibration = Annotated[Path, new_file("File to write.", "a calibration", ".toml")]
@@ -160,43 +150,38 @@ def _written(found: Sequence[IdentificationResult], output: Path, source: str, p
     objects = {one.path: {
         "calibration": None if one.calibration is None else str(files[one.path]), "trial": source,
         "outcome": "completed" if one.reason is None else "stopped", "stop_reason": one.reason,
-        **scalars_json(one.calibration)} for one in found}
+        **_scalars_json(one.calibration)} for one in found}
 
-    def words() -> None:
-        for one in found:
-            _tell_identified(one, files[one.path], source)
-        if last:
-            print(last)
-
-    return CommandAnswer(objects.get("") or {"paths": objects}, words,
+    lines = (line for one in found for line in _words(one, files[one.path], source))
+    return CommandAnswer(objects.get("") or {"paths": objects}, chain(lines, [last]),
                          ending.status_of("completed" if found[0].reason is None else "stopped", found[0].reason))
 
 
-def _tell_identified(found: IdentificationResult, output: Path, source: str) -> None:
+def _words(found: IdentificationResult, output: Path, source: str) -> Words:
     if found.calibration is None:
-        print(f"Stopped: {found.reason}; no calibration was written. Trial: {source}")
+        yield f"Stopped: {found.reason}; no calibration was written. Trial: {source}"
         return
     if found.reason is not None:
-        print(f"Stopped in a gait trial: {found.reason}; the discrepancy is of the trials before it.")
-    show_scalars(f"{output}, measured in {source}", found.calibration)
+        yield f"Stopped in a gait trial: {found.reason}; the discrepancy is of the trials before it."
+    yield from _words_of_scalars(f"{output}, measured in {source}", found.calibration)
 
 
-def scalars_json(found: Calibration | None) -> dict[str, Any]:
+def _scalars_json(found: Calibration | None) -> dict[str, Any]:
     """Return `scalars`, those that a trial determined, and `discrepancy`; empty and None without a calibration."""
     beyond = None if found is None else found.discrepancy
     return {"scalars": {} if found is None else _scalar_rows(found),
             "discrepancy": None if beyond is None else {"prior": beyond.prior, "residual": beyond.residual}}
 
 
-def show_scalars(title: str, found: Calibration) -> None:
-    """Print the scalars with their 95 % intervals, and the discrepancy."""
-    terminal.table(title, ("scalar", "unit", "value", "95 % low", "high", "R²"), [
+def _words_of_scalars(title: str, found: Calibration) -> Words:
+    """Yield the scalars with their 95 % intervals, and the discrepancy."""
+    yield AnswerTable(title, ("scalar", "unit", "value", "95 % low", "high", "R²"), [
         (name, row["unit"] or "1", f"{row['value']:.4g}",
          *("–" if row[key] != row[key] else f"{row[key]:.4g}" for key in ("low", "high", "r_squared")))
         for name, row in _scalar_rows(found).items()])
     if found.discrepancy is not None:
-        print(f"Discrepancy START → END in the gait trials: {100.0 * found.discrepancy.prior:.1f} % of END, its model "
-              f"leaves {100.0 * found.discrepancy.residual:.1f} %.")
+        yield (f"Discrepancy START → END in the gait trials: {100.0 * found.discrepancy.prior:.1f} % of END, its model "
+               f"leaves {100.0 * found.discrepancy.residual:.1f} %.")
 
 
 def _scalar_rows(found: Calibration) -> dict[str, dict[str, Any]]:

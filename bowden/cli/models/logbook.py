@@ -10,7 +10,7 @@ from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import CommandGroup, app
 from bowden.cli.options import argument, new_file, option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 from parameters import InputError
 
@@ -85,13 +85,12 @@ def list_trials(folder: Folder, most: Most = 20) -> CommandAnswer:
     """
     with open_logbook(folder) as book:
         name, counts, entries = book.name, book.counts(), book.trials(most)
-    rows = [(str(e.id), e.label, e.experiment, e.outcome or "–",
-             terminal.number(e.figures.get("relative_rmse_percent")),
+    rows = [(str(e.id), e.label, e.experiment, e.outcome or "–", e.figures.get("relative_rmse_percent"),
              e.path.removeprefix(f"{Path.cwd()}/") if e.there else f"{e.path} (not found)") for e in entries]
     return CommandAnswer(
         {"bench": name, **{f"{k}s": v for k, v in counts.items()}, "newest": [entry._asdict() for entry in entries]},
-        lambda: terminal.table(f"{name}: {counts['trial']} trials in {counts['session']} sessions", (
-            "trial", "session", "experiment", "outcome", "RMSE (%)", "file"), rows))
+        [AnswerTable(f"{name}: {counts['trial']} trials in {counts['session']} sessions", (
+            "trial", "session", "experiment", "outcome", "RMSE (%)", "file"), rows)])
 
 
 @logbook.command("show")
@@ -109,7 +108,7 @@ def show_bench(
             state = diagnosed_state(book, _limits(limit))
         models = book.models()
     return CommandAnswer(state.as_json() | {"models": models},
-                  lambda: _tell(state, len(state.courses) if everything else SHOWN))
+                         _words(state, len(state.courses) if everything else SHOWN))
 
 
 @logbook.command("report")
@@ -154,7 +153,7 @@ def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After
         last = next(reversed(sessions.values()), 0) if after is None else sessions[after]
         note = book.enter_note(text, names, last)
     return CommandAnswer({"note": note.id, "text": text, "resets": list(names)},
-                  f"Note {note.id}: {text}. Resets: {', '.join(names) or 'nothing; --part names what is new'}.")
+                         f"Note {note.id}: {text}. Resets: {', '.join(names) or 'nothing; --part names what is new'}.")
 
 
 def _limits(given: Sequence[str] | None) -> dict[str, float]:
@@ -173,35 +172,34 @@ def _of_trial(book: Any, number: int) -> CommandAnswer:
     if not entries:
         raise InputError(f"--trial {number}: is not in the logbook; bowden logbook list shows the numbers.")
     entry, verdicts = entries[0], book.verdicts(number)
-    return CommandAnswer(entry._asdict() | {"verdicts": verdicts}, lambda: _tell_trial(entry, verdicts))
+    return CommandAnswer(entry._asdict() | {"verdicts": verdicts}, _words_of_trial(entry, verdicts))
 
 
-def _tell_trial(entry: TrialEntry, verdicts: Sequence[dict[str, Any]]) -> None:
-    print(f"Trial {entry.id}, session {entry.label}: {entry.path}" + ("" if entry.there else " (not found)"))
-    print(f"  entered {entry.added}; {words.quantity(entry.seconds, 's')} recorded"
-          + ("" if entry.estimated else f"; not fitted: {entry.remark}"))
+def _words_of_trial(entry: TrialEntry, verdicts: Sequence[dict[str, Any]]) -> Words:
+    yield f"Trial {entry.id}, session {entry.label}: {entry.path}" + ("" if entry.there else " (not found)")
+    yield (f"  entered {entry.added}; {words.quantity(entry.seconds, 's')} recorded"
+           + ("" if entry.estimated else f"; not fitted: {entry.remark}"))
     figures = {f"{one.text} ({one.unit})": terminal.number(entry.figures[one.name]) for one in signals.FORCE_FIGURES
                if entry.figures.get(one.name) is not None}
     for name, value in (words.shown(entry.conditions) | {"outcome": entry.outcome} | figures).items():
-        print(f"  {name}: {value}")
+        yield f"  {name}: {value}"
     for verdict in verdicts:
-        print(f"  verdict of {verdict['made']}: {verdict['verdict']}"
-              + "".join(f", {words.words(name)}" for name in verdict.get("class", ())))
+        yield (f"  verdict of {verdict['made']}: {verdict['verdict']}"
+               + "".join(f", {words.words(name)}" for name in verdict.get("class", ())))
 
 
-def _tell(state: BenchState, most: int) -> None:
-    for sentence in state.sentences():
-        print(sentence)
+def _words(state: BenchState, most: int) -> Words:
+    yield from state.sentences()
     for ahead in state.forecasts:
-        print(f"{ahead.constant} is not forecast to reach {ahead.limit:g}." if ahead.sessions is None else
-              f"{ahead.constant} reaches {ahead.limit:g} in {ahead.sessions:.0f} sessions "
-              f"(95 %: {ahead.low or 0:.0f} … {'no limit' if ahead.high is None else f'{ahead.high:.0f}'}).")
+        yield (f"{ahead.constant} is not forecast to reach {ahead.limit:g}." if ahead.sessions is None else
+               f"{ahead.constant} reaches {ahead.limit:g} in {ahead.sessions:.0f} sessions "
+               f"(95 %: {ahead.low or 0:.0f} … {'no limit' if ahead.high is None else f'{ahead.high:.0f}'}).")
     if not state.courses:
         return
     courses = sorted(state.courses.values(), key=lambda course: -course.departure)[:most]
-    terminal.table(f"{state.name}: constants in session {state.labels[state.sessions[-1]]}", (
+    yield AnswerTable(f"{state.name}: constants in session {state.labels[state.sessions[-1]]}", (
         "constant", "unit", "first", "now", "95 % interval", "1σ between sessions"), [
         (c.name, unit or "1", first, now, f"{low} … {high}", scatter) for c in courses
         for (now, low, high, scatter, _, first), unit in (c.newest(float(c.value[0])),)])
     if len(courses) < len(state.courses):
-        print(f"{len(state.courses) - len(courses)} further constants: --all.")
+        yield f"{len(state.courses) - len(courses)} further constants: --all."

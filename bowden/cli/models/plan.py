@@ -8,7 +8,7 @@ from typing import Annotated
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import NothingGivenError, app
 from bowden.cli.options import BusAlone, SimulatedOptions, argument, new_file, option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer, Paragraph, Words
 from bowden.deferred import on_first_use
 from parameters import InputError
 from parameters.files import write_whole
@@ -58,34 +58,33 @@ def plan_experiment(
             assert logbook is not None
             found = experiment_plan.of_logbook(logbook)
     good = str(healthy[-1]) if healthy else "a reference trial"
-    return CommandAnswer(found.as_json(), lambda: _tell_plan(found, good))
+    return CommandAnswer(found.as_json(), _words(found, good))
 
 
-def _tell_plan(found: ExperimentPlan, good: str) -> None:
+def _words(found: ExperimentPlan, good: str) -> Words:
     if len(found.among) < 2:
-        print(f"Verdict: {found.verdict}. There is nothing to decide between.")
+        yield f"Verdict: {found.verdict}. There is nothing to decide between."
         return
-    print(f"Not separated: {', '.join(found.among)}.")
+    yield f"Not separated: {', '.join(found.among)}."
     if found.tried:
-        print(f"Run already, and did not decide: {', '.join(found.tried)}.")
-    terminal.table("experiments that the bench runs by itself", (
+        yield f"Run already, and did not decide: {', '.join(found.tried)}."
+    yield AnswerTable("experiments that the bench runs by itself", (
         "experiment", "s", "decides (%)", "with its reference (%)", "least nats"), [
-        (one.name, f"{one.seconds:.0f}", f"{100.0 * one.sure:.0f}", f"{100.0 * one.with_reference:.0f}",
-         f"{one.nats:.0f}") for one in found.experiments])
+        (one.name, *(terminal.number(value, 0) for value in (
+            one.seconds, 100.0 * one.sure, 100.0 * one.with_reference, one.nats))) for one in found.experiments])
     proposed = found.proposed
     if proposed is None:
-        print("None of them is likely to decide.")
-        for name, words in found.by_hand.items():
-            print(f"By hand: {name}: {words}.")
-        return
-    if proposed.name == "repeat":
-        print(f"Run: bowden trial --motion-of {good} -o repeat.mcap, then diagnose it alone, with the same "
-              "--healthy.")
-        return
-    if proposed.sure < proposed.with_reference:
-        print(f"First, with nothing wrong: bowden trial --experiment {proposed.name} -o {proposed.name}_good.mcap; "
-              "give it with --healthy.")
-    print(f"Run: bowden trial --experiment {proposed.name} -o {proposed.name}.mcap, then diagnose it beside the trial.")
+        yield "None of them is likely to decide."
+        yield from (f"By hand: {name}: {text}." for name, text in found.by_hand.items())
+    elif proposed.name == "repeat":
+        yield (f"Run: bowden trial --motion-of {good} -o repeat.mcap, then diagnose it alone, with the same "
+               "--healthy.")
+    else:
+        if proposed.sure < proposed.with_reference:
+            yield ("First, with nothing wrong: bowden trial --experiment "
+                   f"{proposed.name} -o {proposed.name}_good.mcap; give it with --healthy.")
+        yield (f"Run: bowden trial --experiment {proposed.name} -o {proposed.name}.mcap, then diagnose it beside the "
+               "trial.")
 
 
 DiscoveredTrials = Annotated[list[Path] | None, argument("TRIAL…", "Trials of one session, MCAP or CSV.")]
@@ -116,7 +115,7 @@ def discover(
     with terminal.fitting("fitting the reference trials, then the terms"):
         found = diagnosing.discover(trials, healthy, lowpass_hz=lowpass, path=path)
     written = _write(found, output, picture, promote)
-    return CommandAnswer(found.as_json(), lambda: _tell_law(found, written))
+    return CommandAnswer(found.as_json(), _words_of_law(found, written))
 
 
 def _write(found: DiscoveryResult, output: Path | None, picture: Path | None, promote: Path | None) -> list[Path]:
@@ -132,15 +131,13 @@ def _write(found: DiscoveryResult, output: Path | None, picture: Path | None, pr
     return [path for path in (output, picture, promote) if path is not None]
 
 
-def _tell_law(found: DiscoveryResult, written: list[Path]) -> None:
-    for sentence in law_sentences(found.laws):
-        terminal.sentence(sentence)
-    terminal.table("RMS error on cycles that no fit has seen", (
+def _words_of_law(found: DiscoveryResult, written: list[Path]) -> Words:
+    yield from map(Paragraph, law_sentences(found.laws))
+    yield AnswerTable("RMS error on cycles that no fit has seen", (
         "signal", "unit", "reference", "session", "law"), [
         (name, f.unit, *(terminal.number(value, 4) for value in (f.rmse_before, f.rmse_session, f.rmse_after)))
         for name, f in found.errors.items()])
-    for path in written:
-        print(f"Wrote {path}.")
+    yield from (f"Wrote {path}." for path in written)
 
 
 ReferenceTrials = Annotated[list[Path] | None, option(
@@ -169,17 +166,16 @@ def mend(
     found = supervisor.mend(reference, output, bus=reached.chosen(simulated), hours=hours, cycles=cycles, resume=resume,
                             progress=terminal.TERMINAL)
     stopped = "stopped" in found.ending or "time is up" in found.ending
-    return CommandAnswer(found.as_json(), lambda: _tell_mended(found),
+    return CommandAnswer(found.as_json(), _words_of_mended(found),
                          ending.CTRL_C if found.ending.startswith("interrupted") else int(stopped))
 
 
-def _tell_mended(found: MendedBench) -> None:
-    for equation in found.equations:
-        terminal.sentence(f"Law: {equation}.")
+def _words_of_mended(found: MendedBench) -> Words:
+    yield from (Paragraph(f"Law: {equation}.") for equation in found.equations)
     if found.names:
-        print(f"Named: {', '.join(map(words, found.names))}.")
+        yield f"Named: {', '.join(map(words, found.names))}."
     if found.gain is not None:
         low, high = found.interval or (float("nan"), float("nan"))
-        print(f"END's error falls by {found.gain:.3g} points of the peak (95 %: {low:.3g} … {high:.3g}).")
-    print(f"{found.ending[:1].upper()}{found.ending[1:]}.")
-    print(f"Page: {found.folder / 'mend.html'}")
+        yield f"END's error falls by {found.gain:.3g} points of the peak (95 %: {low:.3g} … {high:.3g})."
+    yield f"{found.ending[:1].upper()}{found.ending[1:]}."
+    yield f"Page: {found.folder / 'mend.html'}"

@@ -10,7 +10,7 @@ from bowden import output_files
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import Bus, SimulatedOptions, WalkOptions, argument, new_file, option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 from parameters import InputError
 from parameters.files import write_whole
@@ -24,7 +24,6 @@ with on_first_use():
     from estimation.data import table
     from estimation.data.table import Table
     from physics import bench_model
-    from physics.bench_model import BenchModel
     from physics.forward.path_parameters import SimulatedTensions
     from trial import signals
 
@@ -52,7 +51,7 @@ def simulate(
         _write(output, given, told)
     figures = simulation.compared(given, told)
     result: dict[str, Any] = {"trial": str(trial), "model": None if model is None else str(model), **figures}
-    return CommandAnswer(result, lambda: _tell(result, figures, used))
+    return CommandAnswer(result, _words(result, figures))
 
 
 def _write(output: Path, given: Table, told: SimulatedTensions) -> None:
@@ -67,16 +66,16 @@ def _write(output: Path, given: Table, told: SimulatedTensions) -> None:
     write_whole(output, text.getvalue(), overwrite=True)
 
 
-def _tell(result: dict[str, Any], figures: dict[str, Any], used: BenchModel) -> None:
-    print(f"The simulation of {result['model'] or 'the nominal bench'} under the motion of {result['trial']}:")
-    number = terminal.number
+def _words(result: dict[str, Any], figures: dict[str, Any]) -> Words:
+    yield f"The simulation of {result['model'] or 'the nominal bench'} under the motion of {result['trial']}:"
     for name, row in figures.items():
-        title = f"{name}: measured less simulated, RMS {number(row['rms_n'])} N, peak {number(row['peak_n'], 1)} N"
-        terminal.table(title, ("class", "samples", "RMS (N)", "mean (N)"), [
-            (one["class"], str(one["samples"]), number(one["rms_n"]), number(one["mean_n"]))
-            for part in ("by_phase", "by_load", "by_direction") for one in row.get(part, ())])
+        yield AnswerTable(
+            f"{name}: measured less simulated, RMS {terminal.number(row['rms_n'])} N, peak "
+            f"{terminal.number(row['peak_n'], 1)} N", ("class", "samples", "RMS (N)", "mean (N)"), [
+                (one["class"], one["samples"], one["rms_n"], one["mean_n"])
+                for part in ("by_phase", "by_load", "by_direction") for one in row.get(part, ())])
     if not figures:
-        print("No tension was measured: nothing to compare with.")
+        yield "No tension was measured: nothing to compare with."
 
 
 VerifiedModel = Annotated[Path, argument("EXTENDED", "extended.toml of bowden diagnose -o.")]
@@ -113,8 +112,7 @@ def verify(
         name: session.prepare_gait(sections, calibration, chosen, peak_given=walk.peak is not None,
                                    period_given=walk.period is not None,
                                    controller_model=model if name == "after" else None) for name in files}
-    progress = terminal.TERMINAL
-    figures = {name: session.perform(prepared[name], file, overwrite=overwrite, progress=progress,
+    figures = {name: session.perform(prepared[name], file, overwrite=overwrite, progress=terminal.TERMINAL,
                                      announce="" if terminal.quiet() else f"{name}, bench on {chosen.in_words}.")
                for name, file in files.items()}
     extended = prepared["after"].paths.get(path or "", prepared["after"].experiment)
@@ -122,19 +120,18 @@ def verify(
     judged, gain = gained(figures["before"], figures["after"])
     result = {"controller_model": str(model), "effects": {name: dict(of) for name, of in extended.known.items()},
               "terms": [term.equation for term in extended.terms], "judged_by": judged, "gain_percent": gain, **figures}
-    return CommandAnswer(result, lambda: _tell_verified(result, figures),
+    return CommandAnswer(result, _words_of_verified(result, figures),
                          max(ending.status_of(one["outcome"], one["stop_reason"]) for one in figures.values()))
 
 
-def _tell_verified(result: dict[str, Any], figures: dict[str, dict[str, Any]]) -> None:
-    figure, true = terminal.number, result["judged_by"].startswith("true_")
+def _words_of_verified(result: dict[str, Any], figures: dict[str, dict[str, Any]]) -> Words:
+    true = result["judged_by"].startswith("true_")
     changes = ", ".join([*result["effects"], *result["terms"]]) or "no effect"
-    terminal.table(
+    yield AnswerTable(
         f"{changes}: END {'true' if true else 'by its sensor'}, controller {figures['after']['controller']}",
         ("END", "uncompensated", "compensated"), [
-            (f"{one.text} ({one.unit})",
-             *(figure(figures[name]["true_" * true + one.name]) for name in ("before", "after")))
+            (f"{one.text} ({one.unit})", *(figures[name]["true_" * true + one.name] for name in ("before", "after")))
             for one in signals.FORCE_FIGURES])
-    print(f"Gain in relative RMSE: {figure(result['gain_percent'], 1)} %")
+    yield f"Gain in relative RMSE: {terminal.number(result['gain_percent'], 1)} %"
     for name, one in figures.items():
-        print(f"Trial {name}: {one['trial']}" + (f", stopped: {one['stop_reason']}" if one["stop_reason"] else ""))
+        yield f"Trial {name}: {one['trial']}" + (f", stopped: {one['stop_reason']}" if one["stop_reason"] else "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ from bowden.bench import configuration
 from bowden.cli import options, terminal
 from bowden.cli.app import NothingGivenError, app
 from bowden.cli.options import argument, new_file, option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 from parameters import InputError
 from parameters.files import write_whole
@@ -25,8 +26,8 @@ with on_first_use():
     from trial.convert.csv_file import Dialect
     from trial.convert.export import export as exported
     from trial.convert.imports import import_file, table_of
+    from trial.read import Trial, open_file
     from trial.read import open as opened
-    from trial.read import open_file
     from trial.report import compare_page, trial_page
     from trial.report.words import plain
 
@@ -87,29 +88,19 @@ def _guess(source: Path, output: Path, sheet_name: str) -> CommandAnswer:
     write_whole(output, csv_table.text(sheet, str(output)), overwrite=True)
     found = csv_table.guesses(sheet)
     others = csv_table.unassigned(sheet, found)
-
-    def words() -> None:
-        if sheet.remarks:
-            print(f"{source}: read with {', '.join(sheet.remarks)}.")
-        terminal.table(f"Map: {output}; check it, it is a guess", ("signal", "column", "unit", "scale"), [
-            (one.signal, one.column, one.unit, f"{one.scale:g}") for one in found])
-        for guess in found:
-            if guess.question:
-                print(f"Check {guess.signal}: {guess.column!r} {guess.question}")
-        if "time_s" not in {guess.signal for guess in found}:
-            print(f"No column looks like time, which a trial needs: add [time_s] and its column to {output}.")
-        if others:
-            print("Not assigned:")
-            for column, why in others:
-                print(f"  {column!r}: {why}")
-        columns = [one.column for one in others if one.column in sheet]
-        if columns:
-            print(f"To use one of them, add to {output}: [SIGNAL], column = {columns[0]!r} and unit; signals "
-                  "without a column are listed there.")
-
+    columns = [one.column for one in others if one.column in sheet]
     return CommandAnswer({"map": str(output), "read_as": sheet.remarks, "signals": {
         one.signal: {"column": one.column, "unit": one.unit, "scale": one.scale, "question": one.question}
-        for one in found}, "not_assigned": {one.column: one.why for one in others}}, words)
+        for one in found}, "not_assigned": {one.column: one.why for one in others}}, chain(
+        [f"{source}: read with {', '.join(sheet.remarks)}." if sheet.remarks else "",
+         AnswerTable(f"Map: {output}; check it, it is a guess", ("signal", "column", "unit", "scale"), [
+             (one.signal, one.column, one.unit, f"{one.scale:g}") for one in found])],
+        (f"Check {one.signal}: {one.column!r} {one.question}" for one in found if one.question),
+        [f"No column looks like time, which a trial needs: add [time_s] and its column to {output}."
+         if "time_s" not in {one.signal for one in found} else ""],
+        ["Not assigned:"] if others else [], (f"  {one.column!r}: {one.why}" for one in others),
+        [f"To use one of them, add to {output}: [SIGNAL], column = {columns[0]!r} and unit; signals without a column "
+         "are listed there." if columns else ""]))
 
 
 @app.command()
@@ -152,17 +143,17 @@ def compare(
         if report is not None:
             compare_page.write(one, other, found, report, overwrite=True)
 
-    def words() -> None:
-        judged = [compare_page.judged(trial) for trial in (one, other)]
-        rows = [(f"{text} ({unit})", *(terminal.number(values.get(name)) for values in judged))
-                for name, unit, text in trial_page.FIGURES if any(values.get(name) is not None for values in judged)]
-        if rows:
-            terminal.table("figures", ("figure", "A", "B"), rows)
-        _tell_everything(found) if everything else _tell(found)
-        if report is not None:
-            print(f"Page: {report}")
+    return CommandAnswer(found.as_json(), chain(
+        _figures(one, other), _words_of_everything(found) if everything else _words(found),
+        [f"Page: {report}" if report else ""]), 0 if found.same else 1)
 
-    return CommandAnswer(found.as_json(), words, 0 if found.same else 1)
+
+def _figures(*trials: Trial) -> Words:
+    judged = [compare_page.judged(trial) for trial in trials]
+    rows = [(f"{text} ({unit})", *(values.get(name) for values in judged))
+            for name, unit, text in trial_page.FIGURES if any(values.get(name) is not None for values in judged)]
+    if rows:
+        yield AnswerTable("figures", ("figure", "A", "B"), rows)
 
 
 def _rank_controllers(table: Path, other: Path | None, picture: Path | None) -> CommandAnswer:
@@ -174,20 +165,16 @@ def _rank_controllers(table: Path, other: Path | None, picture: Path | None) -> 
     if picture is not None:
         summary.draw_ranking(rows, picture)
 
-    def words() -> None:
-        number = terminal.number
-        terminal.table("controllers, by the median of END's error over their trials", (
+    number = terminal.number
+    return CommandAnswer({"table": str(table), "controllers": [one._asdict() for one in found]}, [
+        AnswerTable("controllers, by the median of END's error over their trials", (
             "controller", "completed", "error (%)", "least … worst", "idle (N)", "jump (N)"), [
-            (one.controller, f"{one.completed} of {one.trials}", number(one.error_percent),
-             f"{number(one.least)} … {number(one.worst)}", number(one.idle_n), number(one.jump_n)) for one in found])
-        for one in found:
-            for reason, count in one.stopped.items():
-                print(f"{one.controller}: {count} not completed: {reason}")
-        if picture is not None:
-            print(f"Picture: {picture}")
-
-    return CommandAnswer({"table": str(table), "controllers": [one._asdict() for one in found]}, words,
-                         1 if any(one.completed < one.trials for one in found) else 0)
+            (one.controller, f"{one.completed} of {one.trials}", one.error_percent,
+             f"{number(one.least)} … {number(one.worst)}", one.idle_n, one.jump_n) for one in found]),
+        *(f"{one.controller}: {count} not completed: {reason}"
+          for one in found for reason, count in one.stopped.items()),
+        f"Picture: {picture}" if picture else ""],
+        1 if any(one.completed < one.trials for one in found) else 0)
 
 
 RARE = 1e-3
@@ -202,42 +189,41 @@ def _against_history(trial: Path, logbook: Path | None, report: Path | None) -> 
     with terminal.waiting("fitting"):
         found = logbook_entries.against_history(logbook, trial)
 
-    def words() -> None:
-        rows = sorted(found["constants"].items(), key=lambda row: -abs(row[1]["scatters"]))
-        terminal.table(f"{trial} against {found['sessions']} sessions, farthest first", (
+    rows = sorted(found["constants"].items(), key=lambda row: -abs(row[1]["scatters"]))
+    return CommandAnswer(found, [
+        AnswerTable(f"{trial} against {found['sessions']} sessions, farthest first", (
             "constant", "departure", "over 1σ of sessions"), [
             (name, f"{row['departure']:.3g}" + (" (ln)" if row["form"] == "log" else f" {row['unit']}"),
-             terminal.number(row["scatters"])) for name, row in rows[:10]])
-        print(f"Probability that a healthy session departs as far: {found['probability']:.2g}.")
-
-    return CommandAnswer(found, words, 1 if found["probability"] < RARE else 0)
+             row["scatters"]) for name, row in rows[:10]]),
+        f"Probability that a healthy session departs as far: {found['probability']:.2g}."],
+        1 if found["probability"] < RARE else 0)
 
 
 SHOWN = 4  # keys of a line
 
 
-def _tell(found: TrialComparison) -> None:
-    """Print what differs in at most five lines; values of attached files are counted."""
+def _words(found: TrialComparison) -> Words:
+    """Yield what differs in at most five lines; values of attached files are counted."""
     if found.same:
-        print("The same, in every channel.")
+        yield "The same, in every channel."
     ended = {row.key: row for row in found.result}
-    told = [row for row in found.metadata if row.key not in HASHES]
-    if told:
-        more = f"; and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
-        print(f"Set up differently: {'; '.join(map(_change, told[:SHOWN]))}{more}.")
+    changed = [row for row in found.metadata if row.key not in HASHES]
+    if changed:
+        more = f"; and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
+        yield f"Set up differently: {'; '.join(map(_change, changed[:SHOWN]))}{more}."
     if "outcome" in ended and ended["outcome"].a != ended["outcome"].b:
-        print(f"Ended: {_change(ended.get('stop_reason', ended['outcome']))}.")
+        yield f"Ended: {_change(ended.get('stop_reason', ended['outcome']))}."
     if found.attachments:
-        print("Attached files that differ: " + ", ".join(
-            f"{name} ({len(rows)} value{'' if len(rows) == 1 else 's'})" for name, rows in found.attachments.items())
-            + ".")
+        yield "Attached files that differ: " + ", ".join(
+            f"{name} ({len(rows)} value{'' if len(rows) == 1 else 's'})" for name, rows in found.attachments.items()
+            ) + "."
     forces = [row for row in found.signals if row.name in COMPARED and row.rms > 0]
     if forces:
-        print(f"A − B, {found.matched}: " + "; ".join(
+        yield f"A − B, {found.matched}: " + "; ".join(
             f"{row.name} {row.rms:.3g} {row.unit} RMS, at most {row.largest:.3g} at {row.largest_at_s:.3g} s"
-            for row in forces) + ".")
-    if told or found.attachments or not found.same:
-        print("All of it: --all, or --report page.html.")
+            for row in forces) + "."
+    if changed or found.attachments or not found.same:
+        yield "All of it: --all, or --report page.html."
 
 
 COMPARED = ("tension_end_n", "tension_start_n", "servo_position_m", "knee_angle_rad")
@@ -249,16 +235,16 @@ def _change(row: FieldDifference) -> str:
     return f"{row.key.replace('_', ' ')} {a} in A, {b} in B"
 
 
-def _tell_everything(found: TrialComparison) -> None:
+def _words_of_everything(found: TrialComparison) -> Words:
     if found.same:
-        print("The same, in every channel.")
+        yield "The same, in every channel."
     attached = [(f"{name}: {row.key}", row) for name, rows in found.attachments.items() for row in rows]
     rows = [(row.key, row) for row in (*found.metadata, *found.result)] + attached
     if rows:
-        terminal.table("figures and what differs", ("key", "A", "B"), [
+        yield AnswerTable("figures and what differs", ("key", "A", "B"), [
             (key, *("–" if value is None else str(plain(row.key, value)) for value in (row.a, row.b)))
             for key, row in rows])
     if found.signals:
-        terminal.table(f"signals, A − B, matched {found.matched}", ("signal", "unit", "RMS", "mean", "largest"), [
+        yield AnswerTable(f"signals, A − B, matched {found.matched}", ("signal", "unit", "RMS", "mean", "largest"), [
             (row.name, row.unit, *(f"{value:.3g}" for value in (row.rms, row.mean, row.largest)))
             for row in found.signals])

@@ -11,7 +11,7 @@ from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import argument, new_file, option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 from bowden.trials import force_paths
 from parameters import InputError
@@ -45,37 +45,32 @@ def info(file: Any_) -> CommandAnswer:
     """
     with terminal.waiting(f"reading {file}"):
         found = contents(file)
-    return CommandAnswer(found.as_json(), lambda: _tell(found))
+    return CommandAnswer(found.as_json(), _words(found))
 
 
-def _tell(found: Contents) -> None:
+def _words(found: Contents) -> Words:
     when = ""
     if found.begins_ns is not None and found.begins_ns > 10**17:  # an epoch, no trial's clock
         begins = datetime.datetime.fromtimestamp(found.begins_ns // 10**9, datetime.UTC)
         when = f", from {begins:%Y-%m-%d %H:%M:%S} UTC"
     lasts = "" if found.seconds is None else f", {found.seconds:.3f} s"
-    print(f"{found.path}: {found.format}{when}{lasts}")
-    for remark in found.remarks:
-        print(f"  {remark}")
-    figure = terminal.number
+    yield f"{found.path}: {found.format}{when}{lasts}"
+    yield from (f"  {remark}" for remark in found.remarks)
     if found.streams:
-        terminal.table("streams", ("stream", "kind", "count", "rate (Hz)", "gaps", "longest gap (s)"), [
-            (one.name, one.kind, str(one.messages), figure(one.rate_hz),
-             "–" if one.gaps is None else str(one.gaps), figure(one.longest_gap_s, 4)) for one in found.streams])
+        yield AnswerTable("streams", ("stream", "kind", "count", "rate (Hz)", "gaps", "longest gap (s)"), [
+            (one.name, one.kind, one.messages, one.rate_hz, one.gaps, terminal.number(one.longest_gap_s, 4))
+            for one in found.streams])
     if found.columns:
-        terminal.table("columns", ("column", "unit", "least", "greatest", "unknown"), [
+        yield AnswerTable("columns", ("column", "unit", "least", "greatest", "unknown"), [
             (one.name, one.unit, *("–" if value is None else f"{value:.6g}" for value in (one.least, one.greatest)),
-             str(one.unknown)) for one in found.columns])
-    for name, value in words.shown(found.about).items():
-        print(f"  {name}: {value}")
-    for name, count in found.counts.items():
-        if count:
-            print(f"  {name.replace('_', ' ')}: {count}")
+             one.unknown) for one in found.columns])
+    yield from (f"  {name}: {value}" for name, value in words.shown(found.about).items())
+    yield from (f"  {name.replace('_', ' ')}: {count}" for name, count in found.counts.items() if count)
     if found.attachments:
-        print("  attached: " + ", ".join(f"{name} ({size} bytes)" for name, size in found.attachments.items()))
+        yield "  attached: " + ", ".join(f"{name} ({size} bytes)" for name, size in found.attachments.items())
     rest = words.folded(found.about)
     if rest:
-        print(f"  not shown: {', '.join(rest)}; --json has them.")
+        yield f"  not shown: {', '.join(rest)}; --json has them."
 
 
 @app.command()
@@ -123,7 +118,7 @@ def merge(files: Several, output: NewRecording) -> CommandAnswer:
 def _written(output: Path, found: EditSummary) -> CommandAnswer:
     counts = ", ".join(f"{count} of {topic}" for topic, count in found.messages.items())
     return CommandAnswer({"file": str(output), "messages": found.messages, "seconds": found.seconds},
-                  f"{output}: {found.seconds:.3f} s; {counts}.")
+                         f"{output}: {found.seconds:.3f} s; {counts}.")
 
 
 @app.command()

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -13,13 +12,13 @@ from bowden.bench import buses
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import BusAlone, SimulatedOptions, new_file, option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer
 from bowden.deferred import on_first_use
 from bowden.trials import force_paths
 from parameters import InputError
 
 with on_first_use():
-    from bowden.replay import onto_bus, onto_controller, onto_master, onto_plant, refuse_imported
+    from bowden.replay import Comparison, onto_bus, onto_controller, onto_master, onto_plant, refuse_imported
     from bowden.replay.onto_bus import PlaybackResult, Playing
     from bowden.replay.player import Selection
     from bowden.trials import recorded
@@ -122,60 +121,49 @@ def _controller(recorded: Trial, allowed: str | None) -> CommandAnswer:
     with terminal.progress("controller") as update:
         found = onto_controller.replay(recorded, chosen, update)
 
-    def words() -> None:
-        print(f"Controller {found.controller}: {found.rows} steps and {found.frames} frames of targets compared.")
-        if recorded.recovered is not None:
-            whole = onto_controller.whole_rows(recorded)
-            print(f"Recovered from a torn recording: {whole} control cycles survived whole, up to "
-                  f"{float(recorded.columns['time_s'][whole - 1]):.3f} s; the comparison ends there.")
-        first = found.first
-        _tell("The same, bit for bit.", None if first is None else (
-            f"row {first.row}, {first.time_s:.3f} s, gait cycle {first.cycle:g} at {first.gait_percent:.2f} %: "
-            f"{first.signal} was {first.recorded!r}, now {first.replayed!r}."), ("signal", "rows"), found.differing)
+    lines = [f"Controller {found.controller}: {found.rows} steps and {found.frames} frames of targets compared."]
+    if recorded.recovered is not None:
+        whole = onto_controller.whole_rows(recorded)
+        lines.append(f"Recovered from a torn recording: {whole} control cycles survived whole, up to "
+                     f"{float(recorded.columns['time_s'][whole - 1]):.3f} s; the comparison ends there.")
+    return _compared(recorded, {"onto": "controller"}, found, lines, (
+        "The same, bit for bit.", "row {0.row}, {0.time_s:.3f} s, gait cycle {0.cycle:g} at {0.gait_percent:.2f} %: "
+        "{0.signal} was {0.recorded!r}, now {0.replayed!r}."), ("signal", "rows"))
 
-    return CommandAnswer({"trial": str(recorded.path), "onto": "controller", **found.as_json()}, words,
+
+def _compared(recorded: Trial, onto: dict[str, Any], found: Comparison[Any], lines: list[str],
+              sentences: tuple[str, str], counted: tuple[str, str]) -> CommandAnswer:
+    """Return a comparison in words: `lines`, then that nothing differs, or the first difference and a table of counts.
+
+    `sentences`: if nothing differs, and format of the first difference; `counted`: header of the table.
+    """
+    differing = [sentences[0]] if found.same else [
+        f"First difference: {sentences[1].format(found.first)}",
+        AnswerTable(f"{counted[1]} that differ", counted, list(found.differing.items()))]
+    return CommandAnswer({"trial": str(recorded.path), **onto, **found.as_json()}, [*lines, *differing],
                          0 if found.same else 1)
-
-
-def _tell(same: str, first: str | None, counted: tuple[str, str], differing: Mapping[str, int]) -> None:
-    """Print the sentence `same` if nothing differs; else the `first` difference and a table of counts by kind."""
-    if first is None:
-        print(same)
-        return
-    print(f"First difference: {first}")
-    terminal.table(f"{counted[1]} that differ", counted, [(name, str(count)) for name, count in differing.items()])
 
 
 def _plant(recorded: Trial, chosen: buses.BusSettings, output: Path | None) -> CommandAnswer:
     found = onto_plant.replay(recorded, chosen, output, overwrite=True, progress=terminal.TERMINAL)
-
-    def words() -> None:
-        print(f"{len(found.time_ns)} control cycles, recorded − simulated:"
-              f" {'the same, bit for bit.' if found.same else 'they differ.'}")
-        terminal.table("residuals", ("signal", "unit", "rows", "RMS", "in the gait", "largest", "at (s)"), [
-            (name, row.unit, str(row.differing + row.one_sided), *(
+    return CommandAnswer({"trial": str(recorded.path), "onto": "plant", "serial": chosen.serial, **found.as_json()}, [
+        f"{len(found.time_ns)} control cycles, recorded − simulated:"
+        f" {'the same, bit for bit.' if found.same else 'they differ.'}",
+        AnswerTable("residuals", ("signal", "unit", "rows", "RMS", "in the gait", "largest", "at (s)"), [
+            (name, row.unit, row.differing + row.one_sided, *(
                 f"{value:.3g}" for value in (row.rms, row.gait_rms, row.largest, row.largest_at_s)))
-            for name, row in found.figures.items()])
-        if output is not None:
-            print(f"Residuals: {output}")
-
-    return CommandAnswer({"trial": str(recorded.path), "onto": "plant", "serial": chosen.serial, **found.as_json()},
-                         words, 0 if found.same else 1)
+            for name, row in found.figures.items()]),
+        f"Residuals: {output}" if output else ""], 0 if found.same else 1)
 
 
 def _nodes(recorded: Trial, chosen: buses.BusSettings, bitrate: int) -> CommandAnswer:
     found = onto_master.replay(recorded, chosen, bitrate, progress=terminal.TERMINAL)
 
-    def words() -> None:
-        print(f"{found.frames} frames of the master compared, {found.beyond} after the recording's end; "
-              f"times differ by {found.timing_max_us:.1f} µs at most.")
-        first = found.first
-        _tell("The same, byte for byte.", None if first is None else (
-            f"{first.cob_id:03X} number {first.number}, {first.time_s:.3f} s from the master's first frame: "
-            f"was {first.recorded}, now {first.live}."), ("COB-ID", "frames"), found.differing)
-
-    return CommandAnswer({"trial": str(recorded.path), "onto": "bus", "nodes_only": True, **found.as_json()}, words,
-                         0 if found.same else 1)
+    return _compared(recorded, {"onto": "bus", "nodes_only": True}, found, [
+        f"{found.frames} frames of the master compared, {found.beyond} after the recording's end; times differ by "
+        f"{found.timing_max_us:.1f} µs at most."], (
+        "The same, byte for byte.", "{0.cob_id:03X} number {0.number}, {0.time_s:.3f} s from the master's first "
+        "frame: was {0.recorded}, now {0.live}."), ("COB-ID", "frames"))
 
 
 def _step(playing: Playing) -> None:
@@ -209,16 +197,14 @@ def _position(word: str) -> int:
 def _played(recorded: Trial, played: PlaybackResult) -> CommandAnswer:
     """Return the figures of a replay; status 1 if the bus refused some frames."""
     result = {"trial": str(recorded.path), "onto": "bus", **played.as_json()}
-
-    def words() -> None:
-        print(f"{played.frames} frames in {played.passes} passes, {played.lost} not taken by the bus; "
-              f"{played.restored} restored what was before.")
-        if played.lost:
-            terminal.remark(LOST)
-        terminal.table("lateness", ("figure", "µs"), [
-            (name, terminal.number(result[f"lateness_{name}_us"], 1)) for name in ("median", "p99", "max")])
-
-    return CommandAnswer(result, words, 1 if played.lost else 0)
+    if played.lost and not terminal.quiet():
+        terminal.remark(LOST)
+    return CommandAnswer(result, [
+        f"{played.frames} frames in {played.passes} passes, {played.lost} not taken by the bus; "
+        f"{played.restored} restored what was before.",
+        AnswerTable("lateness", ("figure", "µs"), [
+            (name, terminal.number(result[f"lateness_{name}_us"], 1)) for name in ("median", "p99", "max")])],
+        1 if played.lost else 0)
 
 
 def _refuse_others(context: typer.Context, onto: str) -> None:

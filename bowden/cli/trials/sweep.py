@@ -10,7 +10,7 @@ from bowden.bench import configuration
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 from parameters import InputError
 
@@ -74,36 +74,33 @@ def sweep(
     failed = len(found) - summary.completed(found)
     figures = summary.spreads(found)
 
-    def words() -> None:
-        if figures:
-            terminal.table("over the trials that completed", ("figure", "median", "least", "greatest", "in row"), [
-                (summary.FIGURES[name], *map(terminal.number, (one.median, one.least, one.greatest)),
-                 str(one.worst_row)) for name, one in figures.items()])
-        _tell_cells(cells)
-        print(f"{output}: {len(rows)} trials, {resumed} of them from before, {failed} not completed.")
-
-    return CommandAnswer({"table": str(output), "trials": len(rows), "resumed": resumed, "not_completed": failed,
-                          "figures": {name: one._asdict() for name, one in figures.items()}, "cells": cells},
-                         words, 1 if failed else 0)
+    return CommandAnswer(
+        {"table": str(output), "trials": len(rows), "resumed": resumed, "not_completed": failed,
+         "figures": {name: one._asdict() for name, one in figures.items()}, "cells": cells}, [
+            *([AnswerTable("over the trials that completed", ("figure", "median", "least", "greatest", "in row"), [
+                (summary.FIGURES[name], one.median, one.least, one.greatest, one.worst_row)
+                for name, one in figures.items()])] if figures else []),
+            *_words_of_cells(cells),
+            f"{output}: {len(rows)} trials, {resumed} of them from before, {failed} not completed."],
+        1 if failed else 0)
 
 
 MOST_CELLS = 200
 """Cells of the grid that the terminal shows at the most."""
 
 
-def _tell_cells(cells: Sequence[Mapping[str, Any]]) -> None:
-    """Print a line for each cell of the grid, and below it why its trials stopped."""
+def _words_of_cells(cells: Sequence[Mapping[str, Any]]) -> Words:
+    """Yield a line for each cell of the grid, and below it why its trials stopped."""
     if len(cells) < 2:
         return
-    told = [name for name in summary.FIGURES if any(name in cell["median"] for cell in cells)][:3]
-    print(f"By cell of the grid, medians of: {'; '.join(summary.FIGURES[name] for name in told)}" if told
-          else "By cell of the grid")
+    names = [name for name in summary.FIGURES if any(name in cell["median"] for cell in cells)][:3]
+    yield "By cell of the grid" + (
+        f", medians of: {'; '.join(summary.FIGURES[name] for name in names)}" if names else "")
     for cell in cells[:MOST_CELLS]:
         where = ", ".join(f"{name.partition('.')[2]} = {value}" for name, value in cell["cell"].items()
                           if value != "")
-        figures = "".join(f", {terminal.number(cell['median'].get(name))}" for name in told)
-        print(f"  {where}: {cell['completed']} of {cell['trials']} completed{figures}")
-        for reason, count in cell["stopped"].items():
-            print(f"    {count} not completed: {reason}")
+        figures = "".join(f", {terminal.number(cell['median'].get(name))}" for name in names)
+        yield f"  {where}: {cell['completed']} of {cell['trials']} completed{figures}"
+        yield from (f"    {count} not completed: {reason}" for reason, count in cell["stopped"].items())
     if len(cells) > MOST_CELLS:
-        print(f"  and {len(cells) - MOST_CELLS} more cells, in the table.")
+        yield f"  and {len(cells) - MOST_CELLS} more cells, in the table."

@@ -12,7 +12,7 @@ from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, option
-from bowden.cli.terminal import CommandAnswer
+from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 
 with on_first_use():
@@ -77,22 +77,10 @@ def trial(
             result["logbook"] = logbook_entries.entered(
                 entered, Path(result["trial"]), label, result)
 
-    def words() -> None:
-        if result["trial"] is None:
-            print(f"Stopped before the first control cycle, {chosen.in_words}: {result['stop_reason']}; nothing was "
-                  "recorded.")
-            return
-        for path, watch in result.get("watch", {}).get("paths", {"": result.get("watch")}).items():
-            if watch is not None:
-                _show_watch(path, watch)
-        _show(result, Path(result["trial"]), picture, chosen.in_words, dry_run=dry_run,
-              with_end=sections["network"].bench.measures_end)
-        if "logbook" in result:
-            kept = result["logbook"]
-            print(f"Logbook: {entered}, trial {kept['trial']}, session {kept['session']}"
-                  + ("" if kept["fitted"] else f"; not fitted: {kept['remark']}"))
-
-    return CommandAnswer(result, words, ending.status_of(result["outcome"], result["stop_reason"]))
+    return CommandAnswer(
+        result, _words(result, picture, chosen.in_words, entered, dry_run=dry_run,
+                       with_end=sections["network"].bench.measures_end),
+        ending.status_of(result["outcome"], result["stop_reason"]))
 
 
 def _performed(prepared: PreparedTrial, network: Any, output: Path, picture: Path | None, web: str | None,
@@ -143,53 +131,63 @@ def _watches(bench: WatchedBench | None, output: Path, network: Any, chosen: bus
             for path, place in zip(network.bench.path_prefixes, places(network, ("cycle",)), strict=True)}
 
 
-def _show_watch(path: str, told: dict[str, Any]) -> None:
-    """Print the diagnosis of the complete trial of a force path, or the reason for its absence."""
-    found, of_path = told["diagnosis"], f" of {path}" if path else ""
+def _words(result: dict[str, Any], picture: Path | None, bus: str, logbook: Path | None, *, dry_run: bool,
+           with_end: bool) -> Words:
+    if result["trial"] is None:
+        yield f"Stopped before the first control cycle, {bus}: {result['stop_reason']}; nothing was recorded."
+        return
+    for path, watch in result.get("watch", {}).get("paths", {"": result.get("watch")}).items():
+        if watch is not None:
+            yield _words_of_watch(path, watch)
+    yield from _tables(result, dry_run=dry_run)
+    if not with_end:
+        yield "No figures by the END sensor: the declared bench has no END load cell."
+    ratio = result["wall_s"] / result["simulated_s"] if result["simulated_s"] else None
+    yield AnswerTable("bus", ("figure", "value"), [
+        ("load, measured (%)", result["bus_load_percent"]),
+        ("load, computed bound (%)", result["bus_load_bound_percent"]),
+        ("missed cycles", result["missed_cycles"]),
+        ("stale inputs", result["stale_inputs"]),
+        ("wall seconds per simulated second", terminal.number(ratio, 3)),
+    ])
+    if result["stop_reason"]:
+        yield f"Stopped: {result['stop_reason']}"
+    yield f"Trial: {result['trial']}" + (f"   picture: {picture}" if picture else "") + f"   {bus}"
+    if "logbook" in result:
+        kept = result["logbook"]
+        yield (f"Logbook: {logbook}, trial {kept['trial']}, session {kept['session']}"
+               + ("" if kept["fitted"] else f"; not fitted: {kept['remark']}"))
+
+
+def _words_of_watch(path: str, watch: dict[str, Any]) -> str:
+    """Return the diagnosis of the complete trial of a force path; remark the reason for its absence."""
+    found, of_path = watch["diagnosis"], f" of {path}" if path else ""
     if found is None:
         terminal.remark(f"watch: no diagnosis{of_path} of the whole trial: "
-                        f"{told['remark'] or 'the watch was ended.'}")
-        return
-    print(f"Watch{of_path}: {found['verdict']}" + (f": {', '.join(found['class'])}" if found["class"] else ""))
+                        f"{watch['remark'] or 'the watch was ended.'}")
+        return ""
+    return f"Watch{of_path}: {found['verdict']}" + (f": {', '.join(found['class'])}" if found["class"] else "")
 
 
-def _show_walk(walk: dict[str, Any]) -> None:
-    """Print the figures of strides that differ: errors of the force and of the phase."""
-    figure = terminal.number
-    terminal.table(f"{walk['strides']} strides, {walk['assisted']} with force, {walk['interrupted']} interrupted, by "
-                   f"{walk['judged_by']}", ("relative RMSE by stride (%)", "median", "95 %", "worst"), [
-        (name, *(figure(walk[key][part]) for part in ("median", "percentile_95", "worst")))
-        for name, key in (("against the force asked for, at the felt phase", "rmse_percent"),
-                          ("against the desired force at the true phase", "true_phase_rmse_percent"))])
-    print(f"Phase: {figure(walk['phase_error_rms_percent'])} % of the gait rms; largest END at idle "
-          f"{figure(walk['idle_n'])} N; longest time with more than 3 N off phase {figure(walk['off_phase_ms'])} ms")
-
-
-def _show(
-    result: dict[str, Any], output: Path, picture: Path | None, bus: str, *, dry_run: bool, with_end: bool
-) -> None:
+def _tables(result: dict[str, Any], *, dry_run: bool) -> Words:
+    """Yield the force figures of each path, and those of strides that differ: errors of force and phase."""
     figure = terminal.number
     paper = {} if dry_run else {
-        "relative_rmse_percent": figure(figures.PAPER_RMSE_PERCENT.get(result["peak_n"])), "max_idle_tension_n": "< 1"}
+        "relative_rmse_percent": figures.PAPER_RMSE_PERCENT.get(result["peak_n"]), "max_idle_tension_n": "< 1"}
     title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {result['cycles']} cycles, {result['rate_hz']} Hz, "
              f"controller {result['controller']}, calibration {result['calibration']}: {result['outcome']}")
     shown = [(f"{name}, {found['peak_n']:g} N", found) for name, found in result.get("paths", {}).items()]
     for headline, found in shown or [(title, result)]:
-        terminal.table(headline, ("force", "by the END sensor", "true", "paper"), [
-            (f"{one.text} ({one.unit})", figure(found[one.name]), figure(found[f"true_{one.name}"]),
-             paper.get(one.name, "–")) for one in signals.FORCE_FIGURES])
-    if result.get("walk"):
-        _show_walk(result["walk"])
-    if not with_end:
-        print("No figures by the END sensor: the declared bench has no END load cell.")
-    ratio = result["wall_s"] / result["simulated_s"] if result["simulated_s"] else None
-    terminal.table("bus", ("figure", "value"), [
-        ("load, measured (%)", figure(result["bus_load_percent"])),
-        ("load, computed bound (%)", figure(result["bus_load_bound_percent"])),
-        ("missed cycles", str(result["missed_cycles"])),
-        ("stale inputs", str(result["stale_inputs"])),
-        ("wall seconds per simulated second", figure(ratio, 3)),
-    ])
-    if result["stop_reason"]:
-        print(f"Stopped: {result['stop_reason']}")
-    print(f"Trial: {output}" + (f"   picture: {picture}" if picture else "") + f"   {bus}")
+        yield AnswerTable(headline, ("force", "by the END sensor", "true", "paper"), [
+            (f"{one.text} ({one.unit})", found[one.name], found[f"true_{one.name}"], paper.get(one.name))
+            for one in signals.FORCE_FIGURES])
+    if walk := result.get("walk"):
+        yield AnswerTable(
+            f"{walk['strides']} strides, {walk['assisted']} with force, {walk['interrupted']} interrupted, by "
+            f"{walk['judged_by']}", ("relative RMSE by stride (%)", "median", "95 %", "worst"), [
+                (name, *(walk[key][part] for part in ("median", "percentile_95", "worst")))
+                for name, key in (("against the force asked for, at the felt phase", "rmse_percent"),
+                                  ("against the desired force at the true phase", "true_phase_rmse_percent"))])
+        yield (f"Phase: {figure(walk['phase_error_rms_percent'])} % of the gait rms; largest END at idle "
+               f"{figure(walk['idle_n'])} N; longest time with more than 3 N off phase "
+               f"{figure(walk['off_phase_ms'])} ms")
