@@ -149,9 +149,9 @@ app = CommandGroup(
 
 
 MODULES = (
-    "trials.trial", "trials.replay", "trials.sweep", "trials.convert", "trials.recordings", "models.identify",
+    "trials.trial", "trials.replay", "trials.sweep", "trials.recordings", "models.identify",
     "models.diagnose", "models.plan", "models.simulate", "models.logbook", "bench.setup", "bench.bench",
-    "bench.commission", "bench.monitor", "bench.watch", "bench.node", "bench.node_serve", "bench.lss",
+    "bench.monitor", "bench.watch", "bench.node", "bench.node_serve", "bench.lss",
 )
 """Modules of the commands; importing one registers its commands on `app`."""
 

@@ -77,13 +77,13 @@ def as_ctrl_c() -> Iterator[Ending]:
             signal.signal(number, handler)
 
 
-def status_of(outcome: str, reason: str | None) -> int:
-    """Return the exit status of a run: 0 completed, 128 + n stopped by signal n, 1 stopped for another reason."""
-    if outcome == "completed":
+def status_of(reason: str | None) -> int:
+    """Return the exit status of a run: 0 completed (no reason), 128 + n stopped by signal n, 1 stopped otherwise."""
+    if reason is None:
         return 0
-    if not (reason or "").startswith(INTERRUPTED):
+    if not reason.startswith(INTERRUPTED):
         return 1
-    named = [word for word in (reason or "").split() if word in signal.Signals.__members__]
+    named = [word for word in reason.split() if word in signal.Signals.__members__]
     return 128 + signal.Signals[named[0]] if named else CTRL_C
 
 

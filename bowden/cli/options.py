@@ -11,12 +11,12 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache, partial, wraps
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_type_hints
+from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
 
 import typer
 
@@ -32,8 +32,12 @@ with on_first_use():
     from bowden.bench.any_node import linked
     from bowden.models import logbook_entries
     from bowden.watch.file_watch import WatchedBench, refuse_stop_on
+    from master.network.doctor import other_master
     from master.network.link import Link
     from physics.effects import catalogue
+
+
+T = TypeVar("T")
 
 
 def option(help: str, *names: str, **more: Any) -> Any:
@@ -58,6 +62,30 @@ def new_file(help: str = "File to write.", content: str = "", *endings: str, nam
     declared = _file(help, *(("-o", name) if name == "--output" else (name,)))
     declared.output_file = (content, endings)
     return declared
+
+
+def keyed(option: str, texts: Iterable[str] | None, expected: str, read: Callable[[str, str], T]) -> list[T]:
+    """Return `read(key, value)` of each KEY=VALUE that a repeatable option was given.
+
+    Raises `InputError` with what is `expected` for a text without "=", and where `read` raises ValueError or KeyError.
+    """
+    found = []
+    for text in texts or ():
+        try:
+            key, value = text.split("=", 1)
+            found.append(read(key, value))
+        except InputError:
+            raise
+        except (ValueError, KeyError):
+            raise InputError(f"{option} {text}: expected {expected}.") from None
+    return found
+
+
+def refuse_given(given: Mapping[str, Any], sentence: str) -> None:
+    """Raise `InputError` for the first option of `given` that has a value; `sentence` has {} for its name."""
+    for name, value in given.items():
+        if value is not None and value is not False and value != []:
+            raise InputError(sentence.format(name))
 
 
 def completing(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
@@ -218,9 +246,8 @@ class WatchOptions(NamedTuple):
         Raises `InputError` for what contradicts itself.
         """
         if not self.watch:
-            for name, value in (("--healthy", self.healthy), ("--stop-on", self.stop_on)):
-                if value:
-                    raise InputError(f"{name} belongs to --watch; add --watch, or leave {name} out.")
+            refuse_given({"--healthy": self.healthy, "--stop-on": self.stop_on},
+                         "{0} belongs to --watch; add --watch, or leave {0} out.")
             return None
         return watched_bench(self.healthy, logbook, self.stop_on)
 
@@ -260,9 +287,16 @@ class Bus(NamedTuple):
         """Return the network of the configuration, overridden by the given options."""
         return self.sections()["network"]
 
-    def linked(self) -> AbstractContextManager[Link]:
-        """Open the bus, a simulated one as the configuration declares it, and a link that sends no heartbeat."""
-        return linked(self.configured(), self.network().bitrate)
+    @contextmanager
+    def linked(self, *, acts: bool = False) -> Iterator[Link]:
+        """Open the bus, a simulated one as the configuration declares it, and a link that sends no heartbeat.
+
+        One that `acts` on nodes raises `InputError` while another master is on the bus.
+        """
+        with linked(self.configured(), self.network().bitrate) as link:
+            if acts and (seen := other_master(link)):
+                raise InputError(f"another master runs this bus: {seen}; stop it, or add --force.")
+            yield link
 
     def configured(self) -> buses.BusSettings:
         """Return the bus to open; a simulated bench is the one that the configuration declares."""
@@ -275,9 +309,8 @@ class Bus(NamedTuple):
         --channel or --option without --interface is refused: the user means a real bus, and a simulated one would be
         opened. A command that is `always_simulated` accepts them.
         """
-        options = dict(_option(text) for text in self.option or ())
-        asked: dict[str, Any] = {
-            name: value for name, value in (simulated or SimulatedOptions())._asdict().items() if value is not None}
+        options = dict(keyed("--option", self.option, "KEY=VALUE; write for instance --option fd=true", _option))
+        simulated = simulated or SimulatedOptions()
         if self.interface is None and not always_simulated:
             for name, value in (("--channel", self.channel), ("--option", self.option and self.option[0])):
                 if value:
@@ -285,18 +318,17 @@ class Bus(NamedTuple):
                                      "--interface socketcan (or another), or --interface "
                                      f"{buses.VIRTUAL} for the simulated bench.")
         if self.interface in (None, buses.VIRTUAL):
+            asked: dict[str, Any] = {name: value for name, value in simulated._asdict().items() if value is not None}
             return buses.simulated(**{**asked, "channel": self.channel or buses.BENCH, **options})
-        for name in asked:
-            raise InputError(f"--{name.replace('_', '-')} belongs to simulated benches; leave it out with "
-                             f"--interface {self.interface}.")
+        refuse_given(spelled(simulated),
+                     f"{{}} belongs to simulated benches; leave it out with --interface {self.interface}.")
         return buses.bus(**{"interface": self.interface, "channel": self.channel, **options})
 
 
-def _option(text: str) -> tuple[str, Any]:
+def _option(key: str, value: str) -> tuple[str, Any]:
     """Return key and value of an interface's option: a number, true or false, else text."""
-    key, equals, value = text.partition("=")
-    if not equals or not key:
-        raise InputError(f"--option {text}: expected KEY=VALUE; write for instance --option fd=true.")
+    if not key:
+        raise ValueError
     for convert in (int, float):
         try:
             return key, convert(value)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Annotated
 
 from bowden.cli.app import CommandGroup, app
-from bowden.cli.bench.node import Force, refuse_other_master
+from bowden.cli.bench.node import Force
 from bowden.cli.options import Bus, argument, option
 from bowden.cli.terminal import CommandAnswer
 from bowden.deferred import on_first_use
@@ -113,9 +113,7 @@ def store(
 @contextmanager
 def _master(reached: Bus, timeout_ms: int, *, acts: bool = False) -> Iterator[LssMaster]:
     """Return an LSS master; a refusal by the device is reported as bad input."""
-    with reached.linked() as link:
-        if acts:
-            refuse_other_master(link, False)
+    with reached.linked(acts=acts) as link:
         master = LssMaster(link, timeout_ms * 1_000_000)
         try:
             yield master

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from bowden.cli.app import CommandGroup, NothingGivenError, app
-from bowden.cli.options import Bus, argument, new_file, option
+from bowden.cli.options import Bus, argument, keyed, new_file, option
 from bowden.cli.terminal import CommandAnswer
 from bowden.deferred import on_first_use
 from parameters import InputError
@@ -26,7 +26,6 @@ with on_first_use():
     from eds.dictionary import read as read_eds
     from eds.emcy_codes import emcy_text
     from master.network import sdo
-    from master.network.doctor import other_master
     from master.network.link import Link
     from master.node_access import dcf, object_text, pdo_settings
     from master.node_access import node_scan as scanning
@@ -176,9 +175,15 @@ def pdo(
 
     Example: bowden node pdo 2 --map tpdo1=6041,6064 --set tpdo1.type=1
     """
-    settings = _settings(given or [])
+    settings: dict[int, dict[str, int]] = {}
+    for index, key, number in keyed(
+            "--set", given, f"PDO.KEY=NUMBER with one of {', '.join(pdo_settings.PARAMETERS)} and a number that fits "
+            "it; write for instance tpdo1.type=1", _setting):
+        settings.setdefault(index, {})[key] = number
     with _node(name, reached, eds, force=force, acts=bool(mapped or given)) as one:
-        maps = _mapped(mapped or [], one)
+        dictionary = one.dictionary
+        maps = dict(keyed("--map", mapped, "PDO=OBJECTS; write for instance tpdo1=6041,6064", lambda pdo, listed: (
+            pdo_settings.index_of(pdo), pdo_settings.words(listed, dictionary))))
         for index in dict.fromkeys((*maps, *settings)):
             pdo_settings.configure(one.link, one.node_id, index, maps.get(index), settings.get(index))
         states = one.pdos()
@@ -223,31 +228,13 @@ def _read_or_none(one: NodeAccess, at: int, kind: DataType | None, *, block: boo
         return None
 
 
-def _mapped(given: list[str], one: NodeAccess) -> dict[int, list[int]]:
-    found = {}
-    for text in given:
-        pdo_name, equals, listed = text.partition("=")
-        if not equals:
-            raise InputError(f"--map {text}: expected PDO=OBJECTS; write for instance tpdo1=6041,6064.")
-        found[pdo_settings.index_of(pdo_name)] = pdo_settings.words(listed, one.dictionary)
-    return found
-
-
-def _settings(given: list[str]) -> dict[int, dict[str, int]]:
-    found: dict[int, dict[str, int]] = {}
-    for text in given:
-        place, _, value = text.partition("=")
-        pdo_name, _, key = place.partition(".")
-        try:
-            number = int(value, 0)
-            fits = 0 <= number < 1 << 8 * pdo_settings.PARAMETERS[key][1]
-        except (ValueError, KeyError):
-            fits = False
-        if not fits:
-            raise InputError(f"--set {text}: expected PDO.KEY=NUMBER with one of {', '.join(pdo_settings.PARAMETERS)} "
-                             "and a number that fits it; write for instance tpdo1.type=1.")
-        found.setdefault(pdo_settings.index_of(pdo_name), {})[key] = number
-    return found
+def _setting(place: str, value: str) -> tuple[int, str, int]:
+    """Return index, key and number of PDO.KEY=NUMBER."""
+    name, _, key = place.partition(".")
+    number = int(value, 0)
+    if not 0 <= number < 1 << 8 * pdo_settings.PARAMETERS[key][1]:
+        raise ValueError
+    return pdo_settings.index_of(name), key, number
 
 
 @node.command()
@@ -284,8 +271,7 @@ def nmt(
     if command not in access.COMMANDS:
         raise InputError(f"nmt {command}: is no command; give one of {', '.join(access.COMMANDS)}.")
     node_id = 0 if name == "all" else node_id_of(name, reached)
-    with reached.linked() as link:
-        refuse_other_master(link, force)
+    with reached.linked(acts=not force) as link:
         answer = access.nmt(link, node_id, command)
     states = list(answer.states.values()) if node_id else [f"{one} {state}" for one, state in answer.states.items()]
     return CommandAnswer(
@@ -388,17 +374,9 @@ def _node(name: str, reached: Bus, eds: Path | None, *, force: bool = False,
           acts: bool = False) -> Iterator[NodeAccess]:
     """Return a node on its bus; `acts`: refuse while another master is there, unless `force`."""
     node_id = node_id_of(name, reached)
-    with reached.linked() as link:
-        if acts:
-            refuse_other_master(link, force)
+    with reached.linked(acts=acts and not force) as link:
         link.sdo_read(node_id, 0x1000)
         yield NodeAccess(link, node_id, dictionary_of(link, node_id, eds))
-
-
-def refuse_other_master(link: Link, force: bool) -> None:
-    """Raise `InputError` while another master is on the bus, unless `force`."""
-    if not force and (seen := other_master(link)):
-        raise InputError(f"another master runs this bus: {seen}; stop it, or add --force.")
 
 
 def node_id_of(name: str, reached: Bus) -> int:

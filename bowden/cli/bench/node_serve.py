@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import shutil
 import time
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 from bowden.bench import buses
 from bowden.cli import ending, options, terminal
-from bowden.cli.bench.node import Eds, Force, Name, node, node_id_of, refuse_other_master
-from bowden.cli.options import Bus, argument, option
+from bowden.cli.bench.node import Eds, Force, Name, node, node_id_of
+from bowden.cli.options import Bus, argument, keyed, option
 from bowden.cli.terminal import CommandAnswer
 from bowden.deferred import on_first_use
 from parameters import InputError
@@ -88,9 +89,9 @@ def serve(
                          "another).")
     served = CanBus()
     made = served.add_node(file, node_id, profile=_application(profile), serial=serial, store=store)
-    for text in settings or ():
-        _set(made, text)
-    counted = [_fault(served, text) for text in faults or ()]
+    keyed("--set", settings, "OBJECT=VALUE; write for instance 6064=1000", partial(_set, made))
+    counted = keyed("--fault", faults, "KIND=COBID with count=N, after=N, and ms=, bit= or size= for delay, corrupt and "
+                    "shorten; write for instance drop=585,count=2", partial(_fault, served))
     for fault in made.eds_faults:
         terminal.remark(fault)
     over = ending.after(seconds)
@@ -114,33 +115,26 @@ def _application(profile: int | None) -> Application | None:
     return None if profile is None else GenericDrive() if profile == 402 else IoModule()
 
 
-def _set(made: CanopenNode, text: str) -> None:
-    place, equals, value = text.partition("=")
-    if not equals:
-        raise InputError(f"--set {text}: expected OBJECT=VALUE; write for instance 6064=1000.")
+def _set(made: CanopenNode, place: str, value: str) -> None:
     at = object_text.find(made.dictionary, place)
     entry = made.dictionary.entries.get(at)
     if entry is None:
-        raise InputError(f"--set {text}: {made.dictionary.path} has no such object; give one of its own.")
-    made[at >> 8, at & 0xFF] = decode(entry.data_type, object_text.encoded(entry.data_type, value, f"--set {text}"))
+        raise InputError(f"--set {place}={value}: {made.dictionary.path} has no such object; give one of its own.")
+    made[at >> 8, at & 0xFF] = decode(
+        entry.data_type, object_text.encoded(entry.data_type, value, f"--set {place}={value}"))
 
 
-def _fault(served: CanBus, text: str) -> Any:
-    kind, _, rest = text.partition("=")
+def _fault(served: CanBus, kind: str, rest: str) -> Any:
     cob_id, *more = rest.split(",")
-    try:
-        numbers = {key: int(value) for key, _, value in (one.partition("=") for one in more)}
-        needed = FAULTS[kind]
-        if set(numbers) - {"count", "after", needed} or (needed is not None and needed not in numbers):
-            raise ValueError
-        count, after, number = numbers.get("count"), numbers.get("after", 0), numbers.get(needed or "")
-        options: dict[Any, int] = {} if number is None else {needed: number}
-        if "ms" in options:
-            options = {"delay_ns": options["ms"] * 1_000_000}
-        return getattr(served.faults, kind)(int(cob_id, 16), count, after=after, **options)
-    except (ValueError, KeyError):
-        raise InputError(f"--fault {text}: expected KIND=COBID with count=N, after=N, and ms=, bit= or size= for "
-                         "delay, corrupt and shorten; write for instance drop=585,count=2.") from None
+    numbers = {key: int(value) for key, _, value in (one.partition("=") for one in more)}
+    needed = FAULTS[kind]
+    if set(numbers) - {"count", "after", needed} or (needed is not None and needed not in numbers):
+        raise ValueError
+    count, after, number = numbers.get("count"), numbers.get("after", 0), numbers.get(needed or "")
+    options: dict[Any, int] = {} if number is None else {needed: number}
+    if "ms" in options:
+        options = {"delay_ns": options["ms"] * 1_000_000}
+    return getattr(served.faults, kind)(int(cob_id, 16), count, after=after, **options)
 
 
 File = Annotated[Path, argument("FILE", "bus.yml of ros2_canopen.")]
@@ -153,8 +147,7 @@ def apply(file: File, reached: Bus, force: Force = False) -> CommandAnswer:
     Example: bowden node export -o bus.yml && bowden node apply bus.yml
     """
     devices = bus_yml.read(file).devices
-    with reached.linked() as link:
-        refuse_other_master(link, force)
+    with reached.linked(acts=not force) as link:
         done = {one.name: bus_setup.apply(link, one, file.parent) for one in devices}
     return CommandAnswer(
         {"file": str(file), "devices": [

@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
 from bowden.cli import options, terminal
 from bowden.cli.app import NothingGivenError, app
-from bowden.cli.options import argument, new_file, option
+from bowden.cli.options import argument, new_file, option, refuse_given
 from bowden.cli.terminal import AnswerTable, CommandAnswer, Paragraph, Words
 from bowden.deferred import on_first_use
 from bowden.trials import force_paths
@@ -64,26 +63,34 @@ def diagnose(
 
     Example: bowden diagnose trial.mcap --healthy good.mcap -o extended.toml --report diagnosis.html
     """
-    asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
-    given = {"--logbook": logbook, "TRIAL": trials, "-o": output, "--report": report, "--figures": figures,
-             "--terms": terms, "--effects": effects, "--lowpass": lowpass, "--holdout": holdout, "--tracked": tracked,
-             "--each": each, "--workers": workers, "--scheduler": scheduler, "--path": path}
+    written = {"--logbook": logbook, "-o": output, "--report": report, "--figures": figures, "--terms": terms,
+               "--effects": effects, "--tracked": tracked, "--path": path}
+    of_each = {"--workers": workers, "--scheduler": scheduler}
     if plan is not None:
-        _leave_out(given, given, "--plan is before any trial")
+        refuse_given({"TRIAL": trials, **written, **of_each, "--lowpass": lowpass, "--holdout": holdout, "--each": each},
+                     "--plan is before any trial; leave {} out.")
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [])
-    chosen = _trials(trials, asked, given)
+    refuse_given({"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise},
+                 "{} belongs to --plan; leave it out, or name an experiment with --plan.")
+    if not trials:
+        raise NothingGivenError("TRIAL... | --plan EXPERIMENT",
+                                "diagnose: no trial given; name at least one, or an experiment with --plan.")
     if each:
-        return _each(chosen, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers))
+        refuse_given(written, "--each gives a verdict for every trial and writes none; leave {} out.")
+        return _each(trials, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers))
+    refuse_given(of_each, "{} belongs to --each; leave it out, or diagnose every trial for itself.")
+    if tracked and not report:
+        raise InputError("--tracked is shown in the report; name one with --report.")
     if figures is not None:
         figure_export.refuse(figures, overwrite=overwrite)
-    references, deviations = logbook_entries.reference_trials(logbook, healthy, chosen if logbook else ())
+    references, deviations = logbook_entries.reference_trials(logbook, healthy, trials if logbook else ())
     path = logbook_entries.path_of(logbook, path)
     if path is not None and calibration is not None:
         calibration = force_paths.file_of(calibration, path)
     with terminal.fitting("diagnosing") as show:
         finder = diagnosing.Diagnosis(
             calibration, lowpass_hz=lowpass, path=path, effects=effects or (), session_sd=deviations, show=show)
-        found = finder.fit(references).diagnose(chosen, holdout or (), terms=terms)
+        found = finder.fit(references).diagnose(trials, holdout or (), terms=terms)
         show("writing")
         if found.verdict != "refused":
             if output is not None:
@@ -94,35 +101,9 @@ def diagnose(
                 figure_export.write(found.found, figures, overwrite=overwrite)
     result = found.as_json() | ({} if path is None else {"path": path}) | {"seconds": found.seconds}
     if logbook is not None and found.verdict != "refused":
-        for trial in chosen:
+        for trial in trials:
             logbook_entries.add_verdict(logbook, trial, result)
     return CommandAnswer(result, _words(found.found, path), 2 if found.verdict == "refused" else 0)
-
-
-def _leave_out(given: dict[str, Any], names: Iterable[str], reason: str) -> None:
-    for name in names:
-        if given[name]:
-            raise InputError(f"{reason}; leave {name} out.")
-
-
-def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, Any]) -> list[Path]:
-    """Return the trials; raises `InputError` for options that do not belong beside each other."""
-    for name, value in asked.items():
-        if value is not None:
-            raise InputError(f"{name} belongs to --plan; leave it out, or name an experiment with --plan.")
-    if not trials:
-        raise NothingGivenError("TRIAL... | --plan EXPERIMENT",
-                                "diagnose: no trial given; name at least one, or an experiment with --plan.")
-    if given["--each"]:
-        _leave_out(given, ("-o", "--report", "--figures", "--terms", "--effects", "--tracked", "--logbook",
-                             "--path"),
-                   "--each gives a verdict for every trial and writes none")
-    for name in ("--workers", "--scheduler"):
-        if given[name] and not given["--each"]:
-            raise InputError(f"{name} belongs to --each; leave it out, or diagnose every trial for itself.")
-    if given["--tracked"] and not given["--report"]:
-        raise InputError("--tracked is shown in the report; name one with --report.")
-    return trials
 
 
 def _each(

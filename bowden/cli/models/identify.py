@@ -113,11 +113,8 @@ def identify(
         raise InputError(f"--picture {picture}: identify {what} measures no loop of Figs. 9 and 10; leave it out.")
     today = datetime.date.today().isoformat()
     if recorded:
-        for name, value in {"no-gait": no_gait or None, "rate": rate, **reached._asdict(),
-                            **simulated._asdict()}.items():
-            if value is not None:
-                raise InputError(
-                    f"--{name.replace('_', '-')} belongs to measuring a bench; leave it out with --from.")
+        options.refuse_given({"--no-gait": no_gait, "--rate": rate, **options.spelled(reached, simulated)},
+                             "{} belongs to measuring a bench; leave it out with --from.")
         again = identification.again(what, recorded, calibration, date=today, progress=terminal.TERMINAL)
         return _written([again], output, ", ".join(map(str, recorded)), picture, logbook)
     sections = reached.sections(rate)
@@ -154,7 +151,7 @@ def _written(found: Sequence[IdentificationResult], output: Path, source: str, p
 
     lines = (line for one in found for line in _words(one, files[one.path], source))
     return CommandAnswer(objects.get("") or {"paths": objects}, chain(lines, [last]),
-                         ending.status_of("completed" if found[0].reason is None else "stopped", found[0].reason))
+                         ending.status_of(found[0].reason))
 
 
 def _words(found: IdentificationResult, output: Path, source: str) -> Words:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import CommandGroup, app
-from bowden.cli.options import argument, new_file, option
+from bowden.cli.options import argument, keyed, new_file, option
 from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 from parameters import InputError
@@ -156,15 +156,9 @@ def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After
                          f"Note {note.id}: {text}. Resets: {', '.join(names) or 'nothing; --part names what is new'}.")
 
 
-def _limits(given: Sequence[str] | None) -> dict[str, float]:
-    found = {}
-    for one in given or ():
-        name, _, value = one.partition("=")
-        try:
-            found[name] = float(value)
-        except ValueError:
-            raise InputError(f"--limit {one}: expected NAME=VALUE; write for instance --limit cable=0.3.") from None
-    return found
+def _limits(given: list[str] | None) -> dict[str, float]:
+    return dict(keyed("--limit", given, "NAME=VALUE; write for instance --limit cable=0.3",
+                      lambda name, value: (name, float(value))))
 
 
 def _of_trial(book: Any, number: int) -> CommandAnswer:

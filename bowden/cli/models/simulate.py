@@ -121,7 +121,7 @@ def verify(
     result = {"controller_model": str(model), "effects": {name: dict(of) for name, of in extended.known.items()},
               "terms": [term.equation for term in extended.terms], "judged_by": judged, "gain_percent": gain, **figures}
     return CommandAnswer(result, _words_of_verified(result, figures),
-                         max(ending.status_of(one["outcome"], one["stop_reason"]) for one in figures.values()))
+                         max(ending.status_of(one["stop_reason"]) for one in figures.values()))
 
 
 def _words_of_verified(result: dict[str, Any], figures: dict[str, dict[str, Any]]) -> Words:

@@ -1,28 +1,42 @@
-"""`bowden info`, `report`, `cut`, `merge`, `recover`: recordings listed, shown, cut, joined and mended."""
+"""Commands on recorded files: `bowden info`, `report`, `cut`, `merge`, `recover`, `import`, `export`, `compare`."""
 
 from __future__ import annotations
 
 import datetime
 from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
 from bowden import output_files
+from bowden.bench import configuration
 from bowden.cli import options, terminal
-from bowden.cli.app import app
+from bowden.cli.app import NothingGivenError, app
 from bowden.cli.options import argument, new_file, option
 from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 from bowden.trials import force_paths
 from parameters import InputError
+from parameters.files import write_whole
 
 with on_first_use():
+    from bowden.models import logbook_entries
     from bowden.pages import figures
+    from bowden.sweep import summary
+    from eds.bench.bench_network import wire
     from trial import edit
+    from trial.compare import FieldDifference, TrialComparison
+    from trial.compare import compare as compared
+    from trial.convert import csv_table
     from trial.convert.contents import Contents, contents
+    from trial.convert.csv_file import Dialect
+    from trial.convert.export import export as exported
+    from trial.convert.imports import import_file, table_of
     from trial.edit import EditSummary
+    from trial.read import Trial, open_file
+    from trial.read import open as opened
     from trial.recover import recover as recovered
-    from trial.report import words
+    from trial.report import compare_page, trial_page, words
 
 Any_ = Annotated[Path, argument("FILE", "A trial, CAN log, table or MCAP file.")]
 Recording = Annotated[Path, argument("FILE", "MCAP.")]
@@ -45,10 +59,10 @@ def info(file: Any_) -> CommandAnswer:
     """
     with terminal.waiting(f"reading {file}"):
         found = contents(file)
-    return CommandAnswer(found.as_json(), _words(found))
+    return CommandAnswer(found.as_json(), _words_of_contents(found))
 
 
-def _words(found: Contents) -> Words:
+def _words_of_contents(found: Contents) -> Words:
     when = ""
     if found.begins_ns is not None and found.begins_ns > 10**17:  # an epoch, no trial's clock
         begins = datetime.datetime.fromtimestamp(found.begins_ns // 10**9, datetime.UTC)
@@ -149,3 +163,222 @@ def report(trial: options.Trial, output: options.Page, path: options.ForcePath =
         recorded = force_paths.opened(trial, path, whole=True)
     size = figures.write_trial_page(recorded, output, overwrite=True, progress=terminal.TERMINAL)
     return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {terminal.size(size)}.")
+
+
+Source = Annotated[Path, argument(
+    "FILE", "csv, tsv, xlsx, tdms, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
+A = Annotated[Path, argument("A", "A recorded trial.")]
+B = Annotated[Path | None, argument("B", "Another trial.")]
+History = Annotated[Path | None, option("In place of B: the bench's own history.", "--logbook", metavar="DIR")]
+Map = Annotated[Path | None, option("map.toml: names, units, offsets of columns.", "--map", metavar="FILE")]
+Sheet = Annotated[str | None, option("Sheet of a workbook (default: the first with a table).", metavar="NAME")]
+Guess = Annotated[bool, option("Write a commented map to -o, guessed from the table, to check.", "--guess")]
+Mat73 = Annotated[bool, option("With .mat: MATLAB v7.3, which is HDF5, in place of v5.", "--mat73")]
+Controllers = Annotated[bool, option("A is the table of a sweep: rank its controllers.", "--controllers")]
+Picture = Annotated[Path | None, new_file(
+    "With --controllers: PNG, SVG or PDF.", *options.PICTURE, name="--picture")]
+Everything = Annotated[bool, option("Every value and signal that differs, in tables.", "--all")]
+Page = Annotated[Path | None, new_file("Both trials in one HTML page.", *options.PAGE, name="--report")]
+
+
+@app.command("import")
+def import_(
+    source: Source, output: options.Output, columns: Map = None, guess: Guess = False, sheet: Sheet = None,
+    config: options.Config = None,
+) -> CommandAnswer:
+    """Make a trial of a table or a CAN log.
+
+    Foreign MCAP files, too; every change is counted. The format of a table (encoding, delimiter, decimal sign, units,
+    kind of time) is detected and printed.
+
+    Example: bowden import candump.log -o trial.mcap
+    """
+    if guess:
+        if columns is not None:
+            raise InputError("--guess writes a map and --map reads one; leave one of them out.")
+        return _guess(source, output, sheet or "")
+    output_files.refuse_ending(output, ".mcap", what="a trial")
+    mapped = None if columns is None else csv_table.read_map(columns)
+    if sheet:
+        mapped = mapped or csv_table.Map()
+        mapped.dialect = Dialect(sheet=sheet)
+    with terminal.progress(f"importing {source}") as update:
+        bench = wire(configuration.read(config, any_shape=True)["network"])
+        report = import_file(source, output, mapped=mapped, wire=bench, overwrite=True, progress=update)
+    read_as = f"{source}: read with {', '.join(report.read_as)}."
+    table = columns is None and bool(report.left_out) and "rows" in report.counts
+    return CommandAnswer({"trial": str(output), **report.as_json()}, [
+        *([read_as] if report.read_as else []), f"Trial: {output}",
+        *(f"  {name.replace('_', ' ')}: {count}" for name, count in report.counts.items() if count),
+        *(f"  left out: {name}" for name in report.left_out),
+        *(f"  {place}" for place in report.damage),
+        *(f"Check {signal}: it {question}" for signal, question in report.questions.items()),
+        *([f"To use what was left out: bowden import {source} --guess -o map.toml."] if table else [])])
+
+
+def _guess(source: Path, output: Path, sheet_name: str) -> CommandAnswer:
+    output_files.refuse_ending(output, ".toml", what="a map")
+    sheet = table_of(source, sheet_name)
+    write_whole(output, csv_table.text(sheet, str(output)), overwrite=True)
+    found = csv_table.guesses(sheet)
+    others = csv_table.unassigned(sheet, found)
+    columns = [one.column for one in others if one.column in sheet]
+    return CommandAnswer({"map": str(output), "read_as": sheet.remarks, "signals": {
+        one.signal: {"column": one.column, "unit": one.unit, "scale": one.scale, "question": one.question}
+        for one in found}, "not_assigned": {one.column: one.why for one in others}}, chain(
+        [f"{source}: read with {', '.join(sheet.remarks)}." if sheet.remarks else "",
+         AnswerTable(f"Map: {output}; check it, it is a guess", ("signal", "column", "unit", "scale"), [
+             (one.signal, one.column, one.unit, f"{one.scale:g}") for one in found])],
+        (f"Check {one.signal}: {one.column!r} {one.question}" for one in found if one.question),
+        [f"No column looks like time, which a trial needs: add [time_s] and its column to {output}."
+         if "time_s" not in {one.signal for one in found} else ""],
+        ["Not assigned:"] if others else [], (f"  {one.column!r}: {one.why}" for one in others),
+        [f"To use one of them, add to {output}: [SIGNAL], column = {columns[0]!r} and unit; signals without a column "
+         "are listed there." if columns else ""]))
+
+
+@app.command()
+def export(trial: options.Trial, output: options.Output, mat73: Mat73 = False) -> CommandAnswer:
+    """Write a trial as a table or a CAN log.
+
+    csv, csv.gz, xlsx, tdms, parquet, mf4 and mat hold its cycles; log, asc, blf and trc its frames.
+
+    Example: bowden export trial.mcap -o trial.csv
+    """
+    with terminal.progress(f"exporting {trial}") as update:
+        rows = exported(open_file(trial), output, mat73=mat73, overwrite=True, progress=update)
+    return CommandAnswer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
+
+
+@app.command()
+def compare(
+    a: A, b: B = None, logbook: History = None, report: Page = None, everything: Everything = False,
+    controllers: Controllers = False, picture: Picture = None,
+) -> CommandAnswer:
+    """Compare two trials: their four figures, and the differences in five lines.
+
+    Exit status 1 if any channel differs.  With --controllers: a sweep's controllers, the best first.  With --logbook:
+    the bench's constants in A against their scatter between sessions; exit status 1 if fewer than 1 in 1,000 healthy
+    sessions depart as far.
+
+    Example: bowden compare a.mcap b.mcap --report compared.html
+    """
+    if picture is not None and not controllers:
+        raise InputError("--picture shows ranked controllers; give --controllers and the table of a sweep.")
+    if controllers:
+        return _rank_controllers(a, b or logbook or report, picture)
+    if (b is None) == (logbook is None):
+        raise NothingGivenError("A B | A --logbook DIR", "compare: expected a second trial or --logbook; give one.")
+    if b is None:
+        return _against_history(a, logbook, report)
+    with terminal.waiting("comparing"):
+        one, other = opened(a), opened(b)
+        found = compared(one, other)
+        if report is not None:
+            compare_page.write(one, other, found, report, overwrite=True)
+
+    return CommandAnswer(found.as_json(), chain(
+        _figures(one, other), _words_of_everything(found) if everything else _words(found),
+        [f"Page: {report}" if report else ""]), 0 if found.same else 1)
+
+
+def _figures(*trials: Trial) -> Words:
+    judged = [compare_page.judged(trial) for trial in trials]
+    rows = [(f"{text} ({unit})", *(values.get(name) for values in judged))
+            for name, unit, text in trial_page.FIGURES if any(values.get(name) is not None for values in judged)]
+    if rows:
+        yield AnswerTable("figures", ("figure", "A", "B"), rows)
+
+
+def _rank_controllers(table: Path, other: Path | None, picture: Path | None) -> CommandAnswer:
+    """Return the controllers of a sweep, the best first; status 1 where trials of one did not complete."""
+    if other is not None:
+        raise InputError(f"--controllers ranks those of one table; leave {other} out.")
+    rows = summary.ranked_rows(table)
+    found = summary.ranked(rows)
+    if picture is not None:
+        summary.draw_ranking(rows, picture)
+
+    number = terminal.number
+    return CommandAnswer({"table": str(table), "controllers": [one._asdict() for one in found]}, [
+        AnswerTable("controllers, by the median of END's error over their trials", (
+            "controller", "completed", "error (%)", "least … worst", "idle (N)", "jump (N)"), [
+            (one.controller, f"{one.completed} of {one.trials}", one.error_percent,
+             f"{number(one.least)} … {number(one.worst)}", one.idle_n, one.jump_n) for one in found]),
+        *(f"{one.controller}: {count} not completed: {reason}"
+          for one in found for reason, count in one.stopped.items()),
+        f"Picture: {picture}" if picture else ""],
+        1 if any(one.completed < one.trials for one in found) else 0)
+
+
+RARE = 1e-3
+"""Share of sessions without a change that depart as far as one that is marked: one session in a thousand."""
+
+
+def _against_history(trial: Path, logbook: Path | None, report: Path | None) -> CommandAnswer:
+    """Compare one trial with its bench's history; status 1 if the trial departs from the history."""
+    assert logbook is not None
+    if report is not None:
+        raise InputError("--report shows two trials; leave it out with --logbook, or say bowden logbook report.")
+    with terminal.waiting("fitting"):
+        found = logbook_entries.against_history(logbook, trial)
+
+    rows = sorted(found["constants"].items(), key=lambda row: -abs(row[1]["scatters"]))
+    return CommandAnswer(found, [
+        AnswerTable(f"{trial} against {found['sessions']} sessions, farthest first", (
+            "constant", "departure", "over 1σ of sessions"), [
+            (name, f"{row['departure']:.3g}" + (" (ln)" if row["form"] == "log" else f" {row['unit']}"),
+             row["scatters"]) for name, row in rows[:10]]),
+        f"Probability that a healthy session departs as far: {found['probability']:.2g}."],
+        1 if found["probability"] < RARE else 0)
+
+
+SHOWN = 4  # keys of a line
+
+
+def _words(found: TrialComparison) -> Words:
+    """Yield what differs in at most five lines; values of attached files are counted."""
+    if found.same:
+        yield "The same, in every channel."
+    ended = {row.key: row for row in found.result}
+    changed = [row for row in found.metadata if row.key not in HASHES]
+    if changed:
+        more = f"; and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
+        yield f"Set up differently: {'; '.join(map(_change, changed[:SHOWN]))}{more}."
+    if "outcome" in ended and ended["outcome"].a != ended["outcome"].b:
+        yield f"Ended: {_change(ended.get('stop_reason', ended['outcome']))}."
+    if found.attachments:
+        yield "Attached files that differ: " + ", ".join(
+            f"{name} ({len(rows)} value{'' if len(rows) == 1 else 's'})" for name, rows in found.attachments.items()
+            ) + "."
+    forces = [row for row in found.signals if row.name in COMPARED and row.rms > 0]
+    if forces:
+        yield f"A − B, {found.matched}: " + "; ".join(
+            f"{row.name} {row.rms:.3g} {row.unit} RMS, at most {row.largest:.3g} at {row.largest_at_s:.3g} s"
+            for row in forces) + "."
+    if changed or found.attachments or not found.same:
+        yield "All of it: --all, or --report page.html."
+
+
+COMPARED = ("tension_end_n", "tension_start_n", "servo_position_m", "knee_angle_rad")
+HASHES = ("commit", "calibration_digest", "packages", "limits_digest")
+
+
+def _change(row: FieldDifference) -> str:
+    a, b = ("–" if value is None else str(words.plain(row.key, value))[:60] for value in (row.a, row.b))
+    return f"{row.key.replace('_', ' ')} {a} in A, {b} in B"
+
+
+def _words_of_everything(found: TrialComparison) -> Words:
+    if found.same:
+        yield "The same, in every channel."
+    attached = [(f"{name}: {row.key}", row) for name, rows in found.attachments.items() for row in rows]
+    rows = [(row.key, row) for row in (*found.metadata, *found.result)] + attached
+    if rows:
+        yield AnswerTable("figures and what differs", ("key", "A", "B"), [
+            (key, *("–" if value is None else str(words.plain(row.key, value)) for value in (row.a, row.b)))
+            for key, row in rows])
+    if found.signals:
+        yield AnswerTable(f"signals, A − B, matched {found.matched}", ("signal", "unit", "RMS", "mean", "largest"), [
+            (row.name, row.unit, *(f"{value:.3g}" for value in (row.rms, row.mean, row.largest)))
+            for row in found.signals])

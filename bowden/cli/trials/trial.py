@@ -80,7 +80,7 @@ def trial(
     return CommandAnswer(
         result, _words(result, picture, chosen.in_words, entered, dry_run=dry_run,
                        with_end=sections["network"].bench.measures_end),
-        ending.status_of(result["outcome"], result["stop_reason"]))
+        ending.status_of(result["stop_reason"]))
 
 
 def _performed(prepared: PreparedTrial, network: Any, output: Path, picture: Path | None, web: str | None,
