@@ -5,6 +5,7 @@
 """
 
 import importlib
+import inspect
 import os
 import sys
 import warnings
@@ -88,12 +89,14 @@ class CommandGroup(typer.Typer):
     def __init__(self, **given: Any) -> None:
         super().__init__(**{"cls": Group, "rich_markup_mode": None, **given})
 
-    def command(self, name: str | None = None, **given: Any) -> Callable[[Registered], Registered]:
-        """Register a command; its option groups are spelt out, and the answer that it returns is printed."""
-        register = super().command(name, **{"cls": ShortHelpCommand, **given})
+    def command(self, name: str | None = None, *, example: str = "", **given: Any
+                ) -> Callable[[Registered], Registered]:
+        """Register a command; its help ends with the `example`, and the answer that it returns is printed."""
+        register = super().command
 
         def registered(function: Registered) -> Registered:
-            register(grouped(function))
+            help = "\n\n".join(filter(None, (inspect.getdoc(function), example and f"Example: {example}")))
+            register(name, cls=ShortHelpCommand, help=help, **given)(grouped(function))
             return function
 
         return registered
@@ -150,7 +153,7 @@ app = CommandGroup(
 
 MODULES = (
     "trials.trial", "trials.replay", "trials.sweep", "trials.recordings", "models.identify",
-    "models.diagnose", "models.plan", "models.simulate", "models.logbook", "bench.setup", "bench.bench",
+    "models.diagnose", "models.plan", "models.logbook", "bench.setup", "bench.bench",
     "bench.monitor", "bench.watch", "bench.node", "bench.node_serve", "bench.lss",
 )
 """Modules of the commands; importing one registers its commands on `app`."""

@@ -21,7 +21,6 @@ with on_first_use():
 
     from bowden.bench import monitor_bounds as bench_bounds
     from bowden.bench import monitor_program
-    from bowden.bench.monitor_bounds import BenchBound
     from bowden.trials import session
     from eds.bench import bench_network
     from master.network.host_computer import prepared
@@ -34,7 +33,7 @@ Faults = Annotated[Path | None, option(
     "Faults of nodes: [[fault]] tables with kind, node, start_s, stop_s.", metavar="FILE")]
 
 
-@app.command()
+@app.command(example="bowden bench --interface udp_multicast --channel 239.74.163.2 --for 5")
 def bench(
     interface: options.AnyInterface, channel: options.Channel = None, rate: options.Rate = None,
     config: options.Config = None, *, simulated: SimulatedOptions, bitrate: options.Bitrate = None,
@@ -44,8 +43,6 @@ def bench(
     """Serve the simulated bench on a bus.
 
     The four nodes and the plant run in wall time until Ctrl-C; several masters may listen.
-
-    Example: bowden bench --interface udp_multicast --channel 239.74.163.2 --for 5
     """
     chosen = Bus(interface, channel, bitrate, option).chosen()
     arguments = Bus().chosen(simulated).arguments
@@ -78,14 +75,12 @@ PersonFile = Annotated[Path, option("The person's file.", "--person", metavar="F
 NewPersonFile = Annotated[Path, options.new_file("The person's file to write.", "a person's file", ".toml")]
 
 
-@app.command(name="monitor-bounds")
+@app.command(name="monitor-bounds", example="bowden monitor-bounds bench.mcap --person person.toml -o P-017.toml")
 def monitor_bounds(trials: BenchTrials, person: PersonFile, output: NewPersonFile) -> CommandAnswer:
     """Set the safety monitor's bounds that are the bench's.
 
     START, the rise of a tension and the speed of the rope become at least 1.25 times the largest values of the trials;
     no bound becomes smaller.  Whoever signed the person's file signs the new one.
-
-    Example: bowden monitor-bounds bench.mcap --person person.toml -o P-017.toml
     """
     with terminal.waiting("reading the trials"):
         found, text = bench_bounds.of_trials(trials, person)
@@ -94,7 +89,7 @@ def monitor_bounds(trials: BenchTrials, person: PersonFile, output: NewPersonFil
                          _words_of_bounds(output, found))
 
 
-def _words_of_bounds(output: Path, found: list[BenchBound]) -> Words:
+def _words_of_bounds(output: Path, found: list[bench_bounds.BenchBound]) -> Words:
     margin, ranges = bench_bounds.BENCH_MARGIN, persons.RANGES
     yield AnswerTable("bounds of the bench", ("bound", "unit", "largest", f"× {margin}", "before", "now"), [
         (bench_bounds.NAMES[bound.key], ranges[bound.key][0],
@@ -110,7 +105,8 @@ MonitorInterface = Annotated[str, option("python-can interface of the bench's bu
 BoardName = Annotated[str, option("Sensors and enable output.", "--board", metavar="MODULE:NAME")]
 
 
-@app.command(name="safety-monitor")
+@app.command(name="safety-monitor",
+    example="bowden safety-monitor person.toml --interface socketcan --channel can0 --board my_board:Board")
 def safety_monitor(
     person: Person, interface: MonitorInterface, board: BoardName, channel: options.Channel = None,
     bitrate: options.Bitrate = None, option: options.Extra = None, config: options.Config = None,
@@ -119,8 +115,6 @@ def safety_monitor(
 
     The sensors and the enable output are those of --board, not the bench's. Ctrl-C ends the monitor and opens the line.
     Run it on a separate computer, never on the master's.
-
-    Example: bowden safety-monitor person.toml --interface socketcan --channel can0 --board my_board:Board
     """
     network = configuration.with_monitor(configuration.read(config)["network"], person)
     bounds, made = read(Path(network.monitor)), monitor_program.board(board)

@@ -15,9 +15,7 @@ from parameters import InputError
 
 with on_first_use():
     from eds.cia305 import LssAddress
-    from master.node_access import lss_master
-    from master.node_access.lss_master import LssMaster, address_of, refuse_taken
-    from master.node_access.remote_node import nmt
+    from master.node_access import lss_master, remote_node
 
 lss = CommandGroup(help="Node ids and bit rates of devices by LSS (CiA 305).")
 app.add_typer(lss, name="lss")
@@ -28,12 +26,9 @@ Store = Annotated[bool, option("Store it, so that it outlasts a power cycle.", "
 Wait = Annotated[int, option("Time for an answer.", "--timeout", metavar="MS", min=1, max=10_000)]
 
 
-@lss.command()
+@lss.command(example="bowden lss scan")
 def scan(reached: Bus, timeout: Wait = 100) -> CommandAnswer:
-    """Find the devices that have no node id, by fastscan.
-
-    Example: bowden lss scan
-    """
+    """Find the devices that have no node id, by fastscan."""
     with _master(reached, timeout) as master:
         found = master.scan()
     return CommandAnswer({"unconfigured": [_identity(address) for address in found], "note": master.scan_note}, [
@@ -41,18 +36,15 @@ def scan(reached: Bus, timeout: Wait = 100) -> CommandAnswer:
           for address in found), f"{len(found)} unconfigured devices.", *filter(None, (master.scan_note,))])
 
 
-@lss.command()
+@lss.command(example="bowden lss assign 9 --node 2")
 def assign(
     node_id: Annotated[int, argument("NEWID", "Node id 1 … 127.")],
     reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False, force: Force = False,
     timeout: Wait = 100,
 ) -> CommandAnswer:
-    """Give a device a node id: the only unconfigured one, or the one of --node or --identity.
-
-    Example: bowden lss assign 9 --node 2
-    """
+    """Give a device a node id: the only unconfigured one, or the one of --node or --identity."""
     with _master(reached, timeout, acts=not force) as master:
-        refuse_taken(master.link, node_id)
+        lss_master.refuse_taken(master.link, node_id)
         address = _choose(master, node, identity)
         before = master.node_id()
         master.configure_node_id(node_id)
@@ -62,7 +54,7 @@ def assign(
         if before not in (255, None):
             master.leave()
             master.link.beats.pop(node_id, None)
-            nmt(master.link, before, "reset-comm", shown_by=node_id)
+            remote_node.nmt(master.link, before, "reset-comm", shown_by=node_id)
             booted = node_id in master.link.beats
     return CommandAnswer(
         {"node": node_id, "before": before, **_identity(address), "stored": store, "booted": booted},
@@ -70,7 +62,7 @@ def assign(
         0 if booted else 1)
 
 
-@lss.command()
+@lss.command(example="bowden lss bitrate 500000 --node 2")
 def bitrate(
     rate: Annotated[int, argument("RATE", "bit/s: 1000000, 800000, 500000, 250000, 125000, …")],
     reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False,
@@ -79,10 +71,7 @@ def bitrate(
         min=1, max=65_535)] = None,
     force: Force = False, timeout: Wait = 100,
 ) -> CommandAnswer:
-    """Give a device a bit rate, in force at its next power-on, or now by --activate.
-
-    Example: bowden lss bitrate 500000 --node 2
-    """
+    """Give a device a bit rate, in force at its next power-on, or now by --activate."""
     with _master(reached, timeout, acts=not force) as master:
         address = _choose(master, node, identity)
         master.configure_bitrate(rate)
@@ -96,14 +85,11 @@ def bitrate(
             f", in force in {activate} ms." if activate is not None else "; in force once it is activated."))
 
 
-@lss.command()
+@lss.command(example="bowden lss store --node 2")
 def store(
     reached: Bus, node: Chosen = None, identity: Identity = None, force: Force = False, timeout: Wait = 100,
 ) -> CommandAnswer:
-    """Let a device keep its node id and bit rate over a power cycle.
-
-    Example: bowden lss store --node 2
-    """
+    """Let a device keep its node id and bit rate over a power cycle."""
     with _master(reached, timeout, acts=not force) as master:
         address = _choose(master, node, identity)
         master.store()
@@ -111,10 +97,10 @@ def store(
 
 
 @contextmanager
-def _master(reached: Bus, timeout_ms: int, *, acts: bool = False) -> Iterator[LssMaster]:
+def _master(reached: Bus, timeout_ms: int, *, acts: bool = False) -> Iterator[lss_master.LssMaster]:
     """Return an LSS master; a refusal by the device is reported as bad input."""
     with reached.linked(acts=acts) as link:
-        master = LssMaster(link, timeout_ms * 1_000_000)
+        master = lss_master.LssMaster(link, timeout_ms * 1_000_000)
         try:
             yield master
         except lss_master.LssRefusalError as error:
@@ -123,8 +109,8 @@ def _master(reached: Bus, timeout_ms: int, *, acts: bool = False) -> Iterator[Ls
             master.leave()
 
 
-def _choose(master: LssMaster, node: int | None, identity: str | None) -> LssAddress:
-    return master.choose(node, None if identity is None else address_of(identity))
+def _choose(master: lss_master.LssMaster, node: int | None, identity: str | None) -> LssAddress:
+    return master.choose(node, None if identity is None else lss_master.address_of(identity))
 
 
 def _identity(address: LssAddress) -> dict[str, object]:

@@ -19,22 +19,13 @@ from parameters.files import write_whole
 
 with on_first_use():
     from bowden.bench.any_node import dictionary_of
-    from eds import cia301
+    from eds import cia301, dictionary, emcy_codes
     from eds.bench.bench_network import wire
     from eds.datatype import DataType
-    from eds.dictionary import Dictionary
-    from eds.dictionary import read as read_eds
-    from eds.emcy_codes import emcy_text
     from master.network import sdo
     from master.network.link import Link
-    from master.node_access import dcf, object_text, pdo_settings
-    from master.node_access import node_scan as scanning
-    from master.node_access import remote_node as access
-    from master.node_access.dcf import DescribedNode, NamedNode, ParameterDifference
-    from master.node_access.pdo_settings import PdoState
-    from master.node_access.remote_node import NodeAccess
+    from master.node_access import dcf, node_scan, object_text, pdo_settings, remote_node
 
-Act = Callable[["Link", "DescribedNode", "Dictionary"], "list[ParameterDifference]"]
 node = CommandGroup(help="Any CANopen node by its id: objects, PDOs, errors, NMT, parameters as DCF.")
 app.add_typer(node, name="node")
 
@@ -47,15 +38,12 @@ Block = Annotated[bool, option("Use SDO block transfer.", "--block")]
 Type = Annotated[str | None, option("Data type: u8 … u64, i8 … i64, f32, f64, str, hex.", "--type", metavar="TYPE")]
 
 
-@node.command()
+@node.command(example="bowden node scan")
 def scan(reached: Bus, eds: Eds = None) -> CommandAnswer:
-    """Find the nodes of a bus: heartbeats, identities, and names of EDS files that fit.
-
-    Example: bowden node scan
-    """
-    files = scanning.files_of(eds)
+    """Find the nodes of a bus: heartbeats, identities, and names of EDS files that fit."""
+    files = node_scan.files_of(eds)
     with reached.linked() as link:
-        found = scanning.scan(link, files)
+        found = node_scan.scan(link, files)
     identities = ["no SDO answer" if one.identity is None else " ".join(
         f"{name} 0x{value:08X}" for name, value in one.identity.items()) for one in found]
     return CommandAnswer({"nodes": [
@@ -65,12 +53,9 @@ def scan(reached: Bus, eds: Eds = None) -> CommandAnswer:
            for one, identity in zip(found, identities, strict=True)), f"{len(found)} nodes."], 0 if found else 1)
 
 
-@node.command()
+@node.command(example="bowden node info 1")
 def info(name: Name, reached: Bus, eds: Eds = None) -> CommandAnswer:
-    """Show a node's identity, versions, NMT state and drive state.
-
-    Example: bowden node info 1
-    """
+    """Show a node's identity, versions, NMT state and drive state."""
     with _node(name, reached, eds) as one:
         about = one.info()
     hexadecimal = ("device_type", "vendor", "product", "revision", "serial")
@@ -79,15 +64,12 @@ def info(name: Name, reached: Bus, eds: Eds = None) -> CommandAnswer:
         for key, value in about.items()])
 
 
-@node.command()
+@node.command(example="bowden node read 1 1018:01")
 def read(
     name: Name, place: ObjectOf, reached: Bus, eds: Eds = None, type: Type = None,
     output: Annotated[Path | None, new_file("File for the bytes.")] = None, block: Block = False,
 ) -> CommandAnswer:
-    """Read one object, typed by the EDS or by --type.
-
-    Example: bowden node read 1 1018:01
-    """
+    """Read one object, typed by the EDS or by --type."""
     with _node(name, reached, eds) as one:
         at = one.find(place)
         kind = one.kind(at, type)
@@ -104,17 +86,14 @@ def read(
         "unit": scaled[1] if scaled else None, "bytes": len(data)}, f"{_object(one, at)} = {shown}")
 
 
-@node.command()
+@node.command(example="bowden node write 1 1017 500")
 def write(
     name: Name, place: ObjectOf, reached: Bus,
     value: Annotated[str | None, typer.Argument(metavar="VALUE", help="Decimal, 0x…, text or hex bytes.")] = None,
     given: Annotated[Path | None, option("File with the bytes.", "--input", metavar="FILE")] = None,
     eds: Eds = None, type: Type = None, block: Block = False, force: Force = False,
 ) -> CommandAnswer:
-    """Write one object, typed by the EDS or by --type, and read it back.
-
-    Example: bowden node write 1 1017 500
-    """
+    """Write one object, typed by the EDS or by --type, and read it back."""
     if (value is None) == (given is None):
         raise NothingGivenError("NODE OBJECT VALUE", "write: give either VALUE or --input FILE.")
     try:
@@ -134,20 +113,17 @@ def write(
             f": {len(data)} bytes written." if now is None else f" = {object_text.shown(now, kind, scaled, at)}"))
 
 
-def _object(one: NodeAccess, at: int) -> str:
+def _object(one: remote_node.NodeAccess, at: int) -> str:
     """Return index and name of an object."""
     return " ".join(filter(None, (object_text.shown_key(at), one.name(at))))
 
 
-@node.command()
+@node.command(example="bowden node objects 3 --changed")
 def objects(
     name: Name, reached: Bus, eds: Eds = None,
     changed: Annotated[bool, option("Only values that are not the EDS's default.", "--changed")] = False,
 ) -> CommandAnswer:
-    """List a node's objects with their live values; * marks one that is not the EDS's default.
-
-    Example: bowden node objects 3 --changed
-    """
+    """List a node's objects with their live values; * marks one that is not the EDS's default."""
     with _node(name, reached, eds) as one:
         found = [each for each in one.objects() if each.changed or not changed]
         units = one.units
@@ -163,7 +139,7 @@ def objects(
         f"{len(found)} objects, {sum(bool(each.changed) for each in found)} not at their default."])
 
 
-@node.command()
+@node.command(example="bowden node pdo 2 --map tpdo1=6041,6064 --set tpdo1.type=1")
 def pdo(
     name: Name, reached: Bus, eds: Eds = None,
     mapped: Annotated[list[str] | None, option("Map objects: tpdo1=6041,6064.", "--map", metavar="PDO=OBJECTS")] = None,
@@ -171,19 +147,16 @@ def pdo(
         "cob_id, type, inhibit (100 µs) or event_timer (ms): tpdo1.type=1.", "--set", metavar="PDO.KEY=N")] = None,
     force: Force = False,
 ) -> CommandAnswer:
-    """Show a node's PDOs with names and values, or change them in the order of CiA 301.
-
-    Example: bowden node pdo 2 --map tpdo1=6041,6064 --set tpdo1.type=1
-    """
+    """Show a node's PDOs with names and values, or change them in the order of CiA 301."""
     settings: dict[int, dict[str, int]] = {}
     for index, key, number in keyed(
             "--set", given, f"PDO.KEY=NUMBER with one of {', '.join(pdo_settings.PARAMETERS)} and a number that fits "
             "it; write for instance tpdo1.type=1", _setting):
         settings.setdefault(index, {})[key] = number
     with _node(name, reached, eds, force=force, acts=bool(mapped or given)) as one:
-        dictionary = one.dictionary
+        known = one.dictionary
         maps = dict(keyed("--map", mapped, "PDO=OBJECTS; write for instance tpdo1=6041,6064", lambda pdo, listed: (
-            pdo_settings.index_of(pdo), pdo_settings.words(listed, dictionary))))
+            pdo_settings.index_of(pdo), pdo_settings.words(listed, known))))
         for index in dict.fromkeys((*maps, *settings)):
             pdo_settings.configure(one.link, one.node_id, index, maps.get(index), settings.get(index))
         states = one.pdos()
@@ -201,7 +174,7 @@ def pdo(
         [*lines, f"{len(states)} PDOs, {sum(state.valid for state in states)} in use."])
 
 
-def _pdo_line(state: PdoState) -> str:
+def _pdo_line(state: pdo_settings.PdoState) -> str:
     cob_id = state.parameters["cob_id"] or 0
     kind = state.parameters["type"]
     words = "" if kind is None else f", type {kind} ({_transmission(kind)})"
@@ -220,7 +193,7 @@ def _transmission(kind: int) -> str:
     return "event-driven" if kind >= 254 else "on remote request"
 
 
-def _read_or_none(one: NodeAccess, at: int, kind: DataType | None, *, block: bool = False) -> Any:
+def _read_or_none(one: remote_node.NodeAccess, at: int, kind: DataType | None, *, block: bool = False) -> Any:
     """Return the value of an object; None if the node refuses to be read."""
     try:
         return object_text.value_of(kind, one.read_bytes(at, block=block))
@@ -237,16 +210,13 @@ def _setting(place: str, value: str) -> tuple[int, str, int]:
     return pdo_settings.index_of(name), key, number
 
 
-@node.command()
+@node.command(example="bowden node errors 1 || true")
 def errors(
     name: Name, reached: Bus, eds: Eds = None,
     clear: Annotated[bool, option("Clear the history 0x1003.", "--clear")] = False,
     force: Force = False,
 ) -> CommandAnswer:
-    """Show a node's error register and error history in words; exit status 1 where an error is present.
-
-    Example: bowden node errors 1 || true
-    """
+    """Show a node's error register and error history in words; exit status 1 where an error is present."""
     with _node(name, reached, eds, force=force, acts=clear) as one:
         if clear:
             one.clear_errors()
@@ -258,21 +228,18 @@ def errors(
           for each in history), f"{len(history)} errors in the history."], 1 if bits else 0)
 
 
-@node.command()
+@node.command(example="bowden node nmt 3 start")
 def nmt(
     name: Annotated[str, argument("NODE", "Node id, name, or all.")],
     command: Annotated[str, argument("COMMAND", "start, stop, preop, reset or reset-comm.")],
     reached: Bus, force: Force = False,
 ) -> CommandAnswer:
-    """Command the NMT state of a node or of all nodes; exit status 1 if a node does not show the new state.
-
-    Example: bowden node nmt 3 start
-    """
-    if command not in access.COMMANDS:
-        raise InputError(f"nmt {command}: is no command; give one of {', '.join(access.COMMANDS)}.")
+    """Command the NMT state of a node or of all nodes; exit status 1 if a node does not show the new state."""
+    if command not in remote_node.COMMANDS:
+        raise InputError(f"nmt {command}: is no command; give one of {', '.join(remote_node.COMMANDS)}.")
     node_id = 0 if name == "all" else node_id_of(name, reached)
     with reached.linked(acts=not force) as link:
-        answer = access.nmt(link, node_id, command)
+        answer = remote_node.nmt(link, node_id, command)
     states = list(answer.states.values()) if node_id else [f"{one} {state}" for one, state in answer.states.items()]
     return CommandAnswer(
         {"node": name, "command": command, "state": answer.states.get(node_id), "obeyed": answer.obeyed,
@@ -280,75 +247,65 @@ def nmt(
         f"{name}: {command} sent; {', '.join(states) or 'no node shows its state'}.", 0 if answer.obeyed else 1)
 
 
-@node.command()
+@node.command(example="bowden node emcy 8611 --profile 402")
 def emcy(
     code: Annotated[str, argument("CODE", "Error code, hexadecimal.")],
     eds: Eds = None,
     profile: Annotated[int | None, option("402 or 404: profile of the device.", metavar="NUMBER")] = None,
 ) -> CommandAnswer:
-    """Show an EMCY error code in words: the EDS's own, CiA 301, 402 and 404.
-
-    Example: bowden node emcy 8611 --profile 402
-    """
+    """Show an EMCY error code in words: the EDS's own, CiA 301, 402 and 404."""
     try:
         number = int(code.removesuffix("h"), 16)
     except ValueError:
         number = -1
     if not 0 <= number <= 0xFFFF:
         raise InputError(f"emcy {code}: is no error code; give four hexadecimal digits such as 8611.")
-    text = emcy_text(number, profile, {} if eds is None else read_eds(eds).emergencies)
+    text = emcy_codes.emcy_text(number, profile, {} if eds is None else dictionary.read(eds).emergencies)
     return CommandAnswer({"code": f"{number:04X}", "text": text}, f"{number:04X} {text}")
 
 
-@node.command()
+@node.command(example="bowden node backup servo -o servo.dcf")
 def backup(
     name: Name, output: Annotated[Path, new_file("File to write.", "a node's parameters", ".dcf")], reached: Bus,
     eds: Eds = None,
     concise: Annotated[Path | None, new_file("Write them as concise DCF (1F22), too.", name="--concise")] = None,
 ) -> CommandAnswer:
-    """Read a node's parameters and PDO settings and write them as DCF.
-
-    Example: bowden node backup servo -o servo.dcf
-    """
+    """Read a node's parameters and PDO settings and write them as DCF."""
     with _described(name, reached, eds) as (link, entry):
         dcf.refuse_other(link, entry, entry.dictionary, entry.dictionary.path)
         unread: list[str] = []
         values = {**dcf.backup(link, entry, unread), **dcf.stamp(entry.dictionary, datetime.datetime.now())}
     write_whole(output, dcf.as_dcf(entry.dictionary, entry.node_id, values), overwrite=True)
     if concise is not None:
-        write_whole(concise, dcf.concise(read_eds(output)), overwrite=True)
+        write_whole(concise, dcf.concise(dictionary.read(output)), overwrite=True)
     return CommandAnswer({"node": name, "file": str(output), "parameters": len(values), "unread": unread}, [
         f"{output}: {len(values)} parameters of {name}; {len(unread)} could not be read.",
         *(f"  not read: {place}" for place in unread)], 1 if unread else 0)
 
 
-@node.command()
+@node.command(example="bowden node backup servo -o servo.dcf && bowden node compare servo servo.dcf")
 def compare(name: Name, file: File, reached: Bus) -> CommandAnswer:
-    """List the parameters of a node that differ from a DCF; exit status 1 where any does.
-
-    Example: bowden node backup servo -o servo.dcf && bowden node compare servo servo.dcf
-    """
+    """List the parameters of a node that differ from a DCF; exit status 1 where any does."""
     found = _against_a_dcf(name, file, reached, dcf.compare)
     return _differences(name, file, found, "differ", 1 if found else 0)
 
 
-@node.command()
+@node.command(example="bowden node backup servo -o servo.dcf && bowden node restore servo servo.dcf")
 def restore(
     name: Name, file: File, reached: Bus, force: Force = False,
 ) -> CommandAnswer:
-    """Write what differs from a DCF into the node and store it there.
-
-    Example: bowden node backup servo -o servo.dcf && bowden node restore servo servo.dcf
-    """
+    """Write what differs from a DCF into the node and store it there."""
     found = _against_a_dcf(name, file, reached, dcf.restore, force=force, acts=True)
     return _differences(name, file, found, "restored")
 
 
-def _against_a_dcf(name: str, file: Path, reached: Bus, act: Act,
-                   **guarded: bool) -> list[ParameterDifference]:
+def _against_a_dcf(
+    name: str, file: Path, reached: Bus,
+    act: Callable[[Link, dcf.DescribedNode, dictionary.Dictionary], list[dcf.ParameterDifference]], **guarded: bool,
+) -> list[dcf.ParameterDifference]:
     """Return the result of `act` on a node and the node's DCF."""
     node_id = node_id_of(name, reached)
-    given = read_eds(file, node_id)
+    given = dictionary.read(file, node_id)
     with _described(name, reached, file, **guarded) as (link, entry):
         dcf.refuse_other(link, entry, given, str(file))
         return act(link, entry, given)
@@ -356,7 +313,7 @@ def _against_a_dcf(name: str, file: Path, reached: Bus, act: Act,
 
 @contextmanager
 def _described(name: str, reached: Bus, eds: Path | None,
-               **guarded: bool) -> Iterator[tuple[Link, DescribedNode]]:
+               **guarded: bool) -> Iterator[tuple[Link, dcf.DescribedNode]]:
     """Return a link and the entry of a node that has a dictionary, in PRE-OPERATIONAL where nothing else is live."""
     known = {entry.name: entry for entry in wire(reached.network()).nodes.values()}
     if eds is None and name in known:
@@ -366,17 +323,17 @@ def _described(name: str, reached: Bus, eds: Path | None,
             raise InputError(f"node {one.node_id}: no EDS fits it; give --eds FILE or a folder of them.")
         if name in known:
             one.link.nmt(cia301.NmtCommand.ENTER_PRE_OPERATIONAL, one.node_id)
-        yield one.link, NamedNode(one.node_id, name if name in known else f"node {one.node_id}", one.dictionary)
+        yield one.link, dcf.NamedNode(one.node_id, name if name in known else f"node {one.node_id}", one.dictionary)
 
 
 @contextmanager
 def _node(name: str, reached: Bus, eds: Path | None, *, force: bool = False,
-          acts: bool = False) -> Iterator[NodeAccess]:
+          acts: bool = False) -> Iterator[remote_node.NodeAccess]:
     """Return a node on its bus; `acts`: refuse while another master is there, unless `force`."""
     node_id = node_id_of(name, reached)
     with reached.linked(acts=acts and not force) as link:
         link.sdo_read(node_id, 0x1000)
-        yield NodeAccess(link, node_id, dictionary_of(link, node_id, eds))
+        yield remote_node.NodeAccess(link, node_id, dictionary_of(link, node_id, eds))
 
 
 def node_id_of(name: str, reached: Bus) -> int:
@@ -395,7 +352,8 @@ def _listed(value: object) -> str:
     return (", ".join(map(str, value)) or "none") if isinstance(value, list) else str(value)
 
 
-def _differences(name: str, file: Path, found: list[ParameterDifference], what: str, status: int = 0) -> CommandAnswer:
+def _differences(name: str, file: Path, found: list[dcf.ParameterDifference], what: str, status: int = 0
+                 ) -> CommandAnswer:
     return CommandAnswer({"node": name, "file": str(file), what: [
         {"index": f"{d.object:04X}:{d.subindex:02X}", "name": d.name, "in_file": _plain(d.in_file),
          "on_node": _plain(d.on_node)} for d in found]}, [

@@ -22,15 +22,14 @@ with on_first_use():
     from bowden.testing import CanBus, CanopenNode
     from eds.datatype import decode
     from eds.files import bus_yml
-    from master.node_access import bus_setup, node_scan, object_text
-    from master.node_access.remote_node import NodeGuard, state_name
+    from master.node_access import bus_setup, node_scan, object_text, remote_node
     from nodes import Application, GenericDrive, IoModule
 
 FAULTS = {"drop": None, "delay": "ms", "corrupt": "bit", "duplicate": None, "shorten": "size"}
 """Kinds of faults of `--fault`, each with the key whose number it needs; None: it needs no number."""
 
 
-@node.command()
+@node.command(example="bowden node guard 1 --for 1 || true")
 def guard(
     name: Name, reached: Bus,
     period: Annotated[int, option("Guard time.", "--period", metavar="MS", min=1, max=65_535)] = 100,
@@ -38,21 +37,18 @@ def guard(
         "Number of unanswered remote frames that count as a loss.", "--life", metavar="N", min=1, max=255)] = 3,
     seconds: Annotated[float, option("Time to guard.", "--for", metavar="S", min=0.0)] = 10.0,
 ) -> CommandAnswer:
-    """Guard a node that has no heartbeat by remote frames; exit status 1 if it is lost.
-
-    Example: bowden node guard 1 --for 1 || true
-    """
+    """Guard a node that has no heartbeat by remote frames; exit status 1 if it is lost."""
     node_id = node_id_of(name, reached)
     events: list[dict[str, object]] = []
     lost = False
     with reached.linked() as link:
-        guarded = NodeGuard(link, node_id, period * 1_000_000, life)
+        guarded = remote_node.NodeGuard(link, node_id, period * 1_000_000, life)
         began_ns = link.clock()
         while link.clock() - began_ns < seconds * 1e9:
             event = guarded.poll()
             lost = lost or guarded.lost
             if event is not None:
-                text = state_name(guarded.state or 0) if event == "state" else event
+                text = remote_node.state_name(guarded.state or 0) if event == "state" else event
                 events.append({"time_s": (guarded.asked_ns - began_ns) / 1e9, "event": text})
                 if not terminal.quiet():
                     print(f"{(guarded.asked_ns - began_ns) / 1e9:8.3f}  {text}")
@@ -61,7 +57,8 @@ def guard(
         f"{guarded.asked} remote frames, {guarded.unanswered} unanswered.", 1 if lost or guarded.state is None else 0)
 
 
-@node.command()
+@node.command(
+    example="bowden node serve knee_drive --node-id 5 --interface udp_multicast --channel 239.74.163.2 --for 1")
 def serve(
     file: Annotated[str, argument("FILE", "EDS or DCF, or the name of a packaged one.")],
     node_id: Annotated[int, option(
@@ -81,8 +78,6 @@ def serve(
     """Serve a node on a bus from any EDS, in wall time until Ctrl-C.
 
     It has the services of its EDS: SDO, PDO, NMT, heartbeat, EMCY, SYNC, LSS, store and restore.
-
-    Example: bowden node serve knee_drive --node-id 5 --interface udp_multicast --channel 239.74.163.2 --for 1
     """
     if reached.interface is None:
         raise InputError("node serve: a node is for other programs' bus; add --interface socketcan --channel can0 (or "
@@ -90,8 +85,8 @@ def serve(
     served = CanBus()
     made = served.add_node(file, node_id, profile=_application(profile), serial=serial, store=store)
     keyed("--set", settings, "OBJECT=VALUE; write for instance 6064=1000", partial(_set, made))
-    counted = keyed("--fault", faults, "KIND=COBID with count=N, after=N, and ms=, bit= or size= for delay, corrupt and "
-                    "shorten; write for instance drop=585,count=2", partial(_fault, served))
+    counted = keyed("--fault", faults, "KIND=COBID with count=N, after=N, and ms=, bit= or size= for delay, corrupt "
+                    "and shorten; write for instance drop=585,count=2", partial(_fault, served))
     for fault in made.eds_faults:
         terminal.remark(fault)
     over = ending.after(seconds)
@@ -140,12 +135,9 @@ def _fault(served: CanBus, kind: str, rest: str) -> Any:
 File = Annotated[Path, argument("FILE", "bus.yml of ros2_canopen.")]
 
 
-@node.command()
+@node.command(example="bowden node export -o bus.yml && bowden node apply bus.yml")
 def apply(file: File, reached: Bus, force: Force = False) -> CommandAnswer:
-    """Write the SDO list, heartbeats and PDOs of a bus.yml into its nodes.
-
-    Example: bowden node export -o bus.yml && bowden node apply bus.yml
-    """
+    """Write the SDO list, heartbeats and PDOs of a bus.yml into its nodes."""
     devices = bus_yml.read(file).devices
     with reached.linked(acts=not force) as link:
         done = {one.name: bus_setup.apply(link, one, file.parent) for one in devices}
@@ -155,12 +147,9 @@ def apply(file: File, reached: Bus, force: Force = False) -> CommandAnswer:
         [f"{one.name}, node {one.node_id}: {'; '.join(done[one.name]) or 'nothing to write'}." for one in devices])
 
 
-@node.command()
+@node.command(example="bowden node export -o bus.yml")
 def export(output: options.Output, reached: Bus, eds: Eds = None) -> CommandAnswer:
-    """Write the nodes of a bus, with their PDOs as they are set, as a bus.yml of ros2_canopen.
-
-    Example: bowden node export -o bus.yml
-    """
+    """Write the nodes of a bus, with their PDOs as they are set, as a bus.yml of ros2_canopen."""
     files = node_scan.files_of(eds)
     with reached.linked() as link:
         devices = [bus_setup.described(link, one) for one in node_scan.scan(link, files)]

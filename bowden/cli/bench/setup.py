@@ -23,18 +23,13 @@ from parameters.files import write_whole
 with on_first_use():
     from bowden.bench import examination
     from bowden.trials import session, setup_checks
-    from eds.bench import bus_load
-    from eds.bench.bench_network import lacks, wire
+    from eds.bench import bench_network, bus_load
     from eds.files.check import findings
-    from master import limit_holders
+    from master import limit_holders, own_limits, settings
     from master.motion import commission
-    from master.motion.commission import Procedure
     from master.network import acknowledge as acknowledging
-    from master.network import bringup, link
-    from master.network.host_computer import prepared
-    from master.node_access.node_scan import scan
-    from master.own_limits import by_path, of_path
-    from master.settings import Limits
+    from master.network import bringup, host_computer, link
+    from master.node_access import node_scan
     from physics import calibration as calibrations
     from physics import setup_check
 
@@ -45,7 +40,7 @@ Files = Annotated[list[Path], argument("FILE…", "EDS or DCF files.")]
 ConfigFile = Annotated[Path, argument("FILE", "bench.toml.")]
 
 
-@app.command()
+@app.command(example="bowden init -o bench.toml")
 def init(
     output: Annotated[Path, new_file("File to write.", "a configuration", ".toml")] = Path("bench.toml"),
     shape: Annotated[str, option(
@@ -56,8 +51,6 @@ def init(
 
     With every default, unit, range and source.  On a terminal it asks for specimen, rope, operator and notes, which
     every trial with that file then carries, and for the logbook that trials are entered in.
-
-    Example: bowden init -o bench.toml
     """
     configuration.as_template(shape=shape)
     told = _asked(configuration.declaration("record")) if sys.stdin.isatty() else {}
@@ -71,20 +64,17 @@ def _asked(record: type[Any]) -> dict[str, str]:
             for name, _, told in declarations(record)}
 
 
-@check.command("config")
+@check.command("config", example="bowden init -o bench.toml && bowden check config bench.toml")
 def check_config(file: ConfigFile) -> CommandAnswer:
-    """Check a bench.toml: deadlines of its network, limits, and who holds each safety function.
-
-    Example: bowden init -o bench.toml && bowden check config bench.toml
-    """
+    """Check a bench.toml: deadlines of its network, limits, and who holds each safety function."""
     sections = configuration.read(file, any_shape=True)
     network, limits = sections["network"], sections["limits"]
     refused = network.bench.refusal()
-    missing = lacks(network)
+    missing = bench_network.lacks(network)
     if missing:
         return CommandAnswer({"lacks": missing}, missing, 1)
-    above, of_paths = limits.above_packaged(), by_path(limits, network.bench)
-    built, held = wire(network), configuration.held_limits(sections)
+    above, of_paths = limits.above_packaged(), own_limits.by_path(limits, network.bench)
+    built, held = bench_network.wire(network), configuration.held_limits(sections)
     nobody = limit_holders.unheld(held)
     found = bus_load.refuse(built)
     fits = bus_load.rate_that_fits(built)
@@ -124,12 +114,9 @@ def _numbers(section: Any) -> list[tuple[str, str]]:
     return [(name, told.unit) for name, default, told in declarations(type(section)) if not isinstance(default, str)]
 
 
-@check.command("eds")
+@check.command("eds", example="bowden check eds my_drive.eds")
 def check_eds(files: Files) -> CommandAnswer:
-    """List the faults of EDS or DCF files, with the place and the remedy.
-
-    Example: bowden check eds my_drive.eds
-    """
+    """List the faults of EDS or DCF files, with the place and the remedy."""
     found = [finding for file in files for finding in findings(file)]
     return CommandAnswer(
         {"files": [str(file) for file in files], "findings": [asdict(finding) for finding in found]},
@@ -143,7 +130,8 @@ Angle = Annotated[list[float] | None, option(
     "Knee angle by a goniometer, degrees (flexion < 0); twice, at least 40 apart.", metavar="DEG")]
 
 
-@check.command("bench")
+@check.command("bench",
+    example="bowden check bench --calibration calibration.toml --start 20 --end 20 --knee 0 --knee -60")
 def check_bench(
     calibration: Checked, start: Weight = None, end: Weight = None, knee: Angle = None,
     path: options.ForcePath = None, *, simulated: SimulatedOptions, reached: Bus,
@@ -152,8 +140,6 @@ def check_bench(
 
     No drive is enabled. On hardware it asks for each weight and angle in turn; on the simulated bench a hand supplies
     them. A trial with a limb declared ([record] limb) needs these checks, no older than a day.
-
-    Example: bowden check bench --calibration calibration.toml --start 20 --end 20 --knee 0 --knee -60
     """
     asked = [(of, weight, "N") for of, weight in (("start", start), ("end", end)) if weight is not None]
     for of, weight, _ in asked:
@@ -190,7 +176,7 @@ def check_bench(
 TimerSeconds = Annotated[float, option("Duration of the timer check.", "--for", metavar="S", min=0.1)]
 
 
-@app.command()
+@app.command(example="bowden doctor --interface socketcan --channel can0")
 def doctor(
     reached: Bus, seconds: TimerSeconds = 5.0,
     compiles: Annotated[bool, option(
@@ -202,8 +188,6 @@ def doctor(
     """Check the bench; name the commands to type.
 
     Of interface, computer, bus and nodes: each finding has its remedy.
-
-    Example: bowden doctor --interface socketcan --channel can0
     """
     if compiles:
         session.compile_laws(simulated=True, progress=terminal.TERMINAL)
@@ -230,8 +214,8 @@ def doctor(
 
 def _soak(reached: Bus, minutes: float, output: Path | None) -> CommandAnswer:
     """Soak the bus and print or write the report; 1 where no node answered or the bus had errors."""
-    with reached.linked() as link, ending.interrupted() as ended, prepared() as refused:
-        nodes = [one.node_id for one in scan(link, []) if one.identity is not None]
+    with reached.linked() as link, ending.interrupted() as ended, host_computer.prepared() as refused:
+        nodes = [one.node_id for one in node_scan.scan(link, []) if one.identity is not None]
         figures = examination.soak(link, nodes, minutes, ended)
     text = examination.as_text(figures, f"{reached.interface or 'the virtual bus'} {reached.channel or ''}".strip())
     text += "".join(f"\n{sentence}\n" for sentence in refused)
@@ -251,7 +235,7 @@ SPEED = 10.0
 REMEDY = "free the emergency stop (STO) first, then say this again"
 
 
-@app.command()
+@app.command(example="bowden home --interface socketcan --channel can0")
 def home(
     calibration: options.Calibration = None, rate: options.Rate = None, path: options.ForcePath = None,
     homing_n: options.HomingForce = None, *, reached: Bus,
@@ -259,8 +243,6 @@ def home(
     """Find the encoder zero at the preload.
 
     The rope is left slack.
-
-    Example: bowden home --interface socketcan --channel can0
     """
     bench = _Bench(reached, rate, path)
     measured = calibrations.nominal() if calibration is None else calibrations.read(calibration)
@@ -269,29 +251,24 @@ def home(
                          pulls=commission.home_pulls(homing))
 
 
-@app.command()
+@app.command(example="bowden tare start --interface socketcan --channel can0")
 def tare(
     sensor: Sensor, rate: options.Rate = None, path: options.ForcePath = None, *, reached: Bus,
 ) -> CommandAnswer:
     """Zero a tension sensor.
 
     The rope must be slack, and no drive is enabled.
-
-    Example: bowden tare start --interface socketcan --channel can0
     """
     bench = _Bench(reached, rate, path)
     return bench.perform(f"tare {sensor}", commission.tare(bench.place(sensor)))
 
 
-@app.command()
+@app.command(example="bowden jog servo --by -2 --speed 5 --interface socketcan --channel can0")
 def jog(
     axis: Axis, by: By, speed: Speed = SPEED, rate: options.Rate = None, path: options.ForcePath = None, *,
     reached: Bus,
 ) -> CommandAnswer:
-    """Move one axis slowly, alone; the other drive stays off.
-
-    Example: bowden jog servo --by -2 --speed 5 --interface socketcan --channel can0
-    """
+    """Move one axis slowly, alone; the other drive stays off."""
     bench = _Bench(reached, rate, path)
     place = bench.place(axis)
     unit = math.radians(1.0) if place == "knee" else 1e-3
@@ -300,13 +277,11 @@ def jog(
                          pulls=commission.jog_pulls(limits))
 
 
-@app.command()
+@app.command(example="bowden release --interface socketcan --channel can0")
 def release(rate: options.Rate = None, path: options.ForcePath = None, *, reached: Bus) -> CommandAnswer:
     """Take the tension off.
 
     The servo alone unwinds the rope until START is slack.
-
-    Example: bowden release --interface socketcan --channel can0
     """
     bench = _Bench(reached, rate, path)
     return bench.perform("release", commission.release(bench.sections["homing"], bench.limits()))
@@ -333,12 +308,12 @@ class _Bench:
             self.path = places[0][0]
         return places[0][1] if places else name
 
-    def limits(self) -> Limits:
+    def limits(self) -> settings.Limits:
         """Return the limits of the force path; raises `InputError` for a path that is missing or not declared."""
         bench = self.sections["network"].bench
-        return of_path(self.sections["limits"], bench, setup_checks.named(bench, self.path))
+        return own_limits.of_path(self.sections["limits"], bench, setup_checks.named(bench, self.path))
 
-    def perform(self, what: str, procedure: Procedure, *, pulls: str = "") -> CommandAnswer:
+    def perform(self, what: str, procedure: commission.Procedure, *, pulls: str = "") -> CommandAnswer:
         """Run one procedure and return its result; `pulls` is the largest force that it may pull, as a sentence."""
         if pulls and not terminal.quiet():
             terminal.remark(pulls)
@@ -355,19 +330,17 @@ class _Bench:
         ], ending.status_of(outcome.reason))
 
 
-@app.command()
+@app.command(example="bowden acknowledge --interface socketcan --channel can0")
 def acknowledge(reached: Bus) -> CommandAnswer:
     """Release drives after an emergency stop.
 
     A drive that had its emergency stop (STO) stays off until an operator releases it; nothing is enabled by this.
-
-    Example: bowden acknowledge --interface socketcan --channel can0
     """
     network = reached.network()
     with buses.opened_one(reached.chosen(), network.bitrate) as opened:
         try:
             silent = link.Link(opened, buses.clock_of(opened), heartbeat_ms=None)
-            found = acknowledging.acknowledge(silent, wire(network))
+            found = acknowledging.acknowledge(silent, bench_network.wire(network))
         except (bringup.BringUpError, link.LinkError) as error:
             raise InputError(str(error)) from None
     active = [one for one in found if one.became == "still active"]

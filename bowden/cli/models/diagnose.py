@@ -20,8 +20,7 @@ with on_first_use():
     from bowden.models import diagnose_each, diagnosing, experiment_plan, logbook_entries
     from diagnosis.evidence.planned_limits import Plan
     from diagnosis.findings import Findings
-    from diagnosis.report import figure_export
-    from diagnosis.report.headline import headline
+    from diagnosis.report import figure_export, headline
     from trial.report.words import quantities, words
 
 Trials = Annotated[list[Path] | None, argument("TRIAL…", "MCAP, or CSV (.gz) with canonical headers.")]
@@ -45,7 +44,7 @@ Effects = Annotated[list[Path] | None, option(
 Noise = Annotated[float | None, option("With --plan: noise of both tension sensors, 1σ.", metavar="N")]
 
 
-@app.command()
+@app.command(example="bowden diagnose trial.mcap --healthy good.mcap -o extended.toml --report diagnosis.html")
 def diagnose(
     trials: Trials = None, calibration: options.Calibration = None, healthy: options.Healthy = None,
     holdout: Holdout = None, path: options.ForcePath = None, lowpass: options.Lowpass = None, output: Extended = None,
@@ -60,15 +59,13 @@ def diagnose(
     """Name the causes of the simulation's errors.
 
     From measured trials: the cause by name, with intervals, on held-out data.
-
-    Example: bowden diagnose trial.mcap --healthy good.mcap -o extended.toml --report diagnosis.html
     """
     written = {"--logbook": logbook, "-o": output, "--report": report, "--figures": figures, "--terms": terms,
                "--effects": effects, "--tracked": tracked, "--path": path}
     of_each = {"--workers": workers, "--scheduler": scheduler}
     if plan is not None:
-        refuse_given({"TRIAL": trials, **written, **of_each, "--lowpass": lowpass, "--holdout": holdout, "--each": each},
-                     "--plan is before any trial; leave {} out.")
+        refuse_given({"TRIAL": trials, "--lowpass": lowpass, "--holdout": holdout, "--each": each, **of_each,
+                      **written}, "--plan is before any trial; leave {} out.")
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [])
     refuse_given({"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise},
                  "{} belongs to --plan; leave it out, or name an experiment with --plan.")
@@ -140,7 +137,7 @@ def _words_each(found: dict[str, Any], lowpass: float | None) -> Words:
 def _words(found: Findings, path: str | None) -> Words:
     if path is not None:
         yield f"Path {path}."
-    yield from map(Paragraph, headline(found))
+    yield from map(Paragraph, headline.headline(found))
     if not found.candidates:
         yield f"\nVerdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else "")
     yield from _words_of_signals(found.as_json()["relations"])

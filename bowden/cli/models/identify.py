@@ -1,8 +1,9 @@
-"""`bowden identify` and `bowden fit`: measure a bench into a calibration, or fit a bench model to recorded trials."""
+"""`bowden fit`, `simulate`, `identify`: a bench model fitted, simulated under a measured motion, or measured."""
 
 from __future__ import annotations
 
 import datetime
+import io
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
@@ -21,15 +22,17 @@ from parameters import InputError, declarations
 from parameters.files import write_whole
 
 with on_first_use():
-    from bowden.models import identification, logbook_entries
-    from bowden.models.diagnosing import table_of
-    from bowden.models.identification import IdentificationResult
+    import numpy as np
+
+    from bowden.models import diagnosing, identification, logbook_entries
     from bowden.pages import model_pictures
     from bowden.trials import session
-    from estimation import bench_fit
-    from estimation.bench_fit import FittedBench
+    from estimation import bench_fit, simulation
+    from estimation.data import table
     from logbook.database import refuse_no_logbook
+    from physics import bench_model
     from physics.calibration import Calibration, write
+    from physics.forward.path_parameters import SimulatedTensions
     from trial.report.words import quantity
 
 
@@ -38,7 +41,7 @@ HealthyTrials = Annotated[list[Path], argument(
 FittedModel = Annotated[Path, new_file("model.toml to write.", "a bench model", ".toml")]
 
 
-@app.command()
+@app.command(example="bowden fit good.mcap -o model.toml")
 def fit(
     trials: HealthyTrials, output: FittedModel, path: options.ForcePath = None, lowpass: options.Lowpass = None,
     logbook: options.Logbook = None,
@@ -48,12 +51,10 @@ def fit(
     Any motion, own or imported: rope position, knee angle (none: locked) and START, END beside it.  The file is a
     calibration as of bowden identify, too.  A rig of another kind (a seal, a turning axis, a motor) has its own terms
     fitted.
-
-    Example: bowden fit good.mcap -o model.toml
     """
     refuse_no_logbook(logbook)
     with terminal.fitting("fitting"):
-        found = bench_fit.fit([table_of(file, path) for file in trials], lowpass)
+        found = bench_fit.fit([diagnosing.table_of(file, path) for file in trials], lowpass)
     write_whole(output, found.text(), overwrite=True)
     if logbook is not None:
         logbook_entries.add_model(logbook, "fit", output)
@@ -62,7 +63,7 @@ def fit(
     return CommandAnswer(result, _words_of_fit(output, found))
 
 
-def _words_of_fit(output: Path, found: FittedBench) -> Words:
+def _words_of_fit(output: Path, found: bench_fit.FittedBench) -> Words:
     if found.rig is None:
         yield from _words_of_scalars("calibration", found.model.calibration)
     yield AnswerTable(f"constants{' of the simulation' * (found.rig is None)}", (
@@ -83,6 +84,55 @@ def _words_of_fit(output: Path, found: FittedBench) -> Words:
     yield f"Model: {output}"
 
 
+Trial = Annotated[Path, argument("TRIAL", "MCAP, or CSV (.gz) with rope position and knee angle (none: locked).")]
+Model = Annotated[Path | None, option(
+    "model.toml of bowden fit, or extended.toml (default: the nominal bench).", metavar="FILE")]
+Tensions = Annotated[Path | None, new_file("CSV of measured and simulated tensions.", "a table", ".csv")]
+
+
+@app.command(example="bowden simulate trial.mcap --model model.toml")
+def simulate(
+    trial: Trial, model: Model = None, output: Tensions = None, path: options.ForcePath = None,
+) -> CommandAnswer:
+    """Simulate a bench under a trial's measured motion.
+
+    Rope and knee go where they were measured; START and END come from the many-segment simulation.
+    """
+    used = bench_model.BenchModel() if model is None else bench_model.read(model)
+    given = table.read(trial, path)
+    with terminal.waiting("simulating"):
+        told = simulation.simulate(bench_fit.as_fitted(given, used), used.simulation_values())
+    if output is not None:
+        _write_tensions(output, given, told)
+    figures = simulation.compared(given, told)
+    result: dict[str, Any] = {"trial": str(trial), "model": None if model is None else str(model), **figures}
+    return CommandAnswer(result, _words_of_simulation(result, figures))
+
+
+def _write_tensions(output: Path, given: table.Table, told: SimulatedTensions) -> None:
+    columns = {"time_s": given["time_s"]}
+    for name in simulation.SIGNALS:
+        if name in given:
+            columns[name] = given[name]
+        columns[f"simulated_{name}"] = getattr(told, name)
+    text = io.StringIO()
+    np.savetxt(text, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="",
+               fmt="%.9g")
+    write_whole(output, text.getvalue(), overwrite=True)
+
+
+def _words_of_simulation(result: dict[str, Any], figures: dict[str, Any]) -> Words:
+    yield f"The simulation of {result['model'] or 'the nominal bench'} under the motion of {result['trial']}:"
+    for name, row in figures.items():
+        yield AnswerTable(
+            f"{name}: measured less simulated, RMS {terminal.number(row['rms_n'])} N, peak "
+            f"{terminal.number(row['peak_n'], 1)} N", ("class", "samples", "RMS (N)", "mean (N)"), [
+                (one["class"], one["samples"], one["rms_n"], one["mean_n"])
+                for part in ("by_phase", "by_load", "by_direction") for one in row.get(part, ())])
+    if not figures:
+        yield "No tension was measured: nothing to compare with."
+
+
 NewCalibration = Annotated[Path, new_file("File to write.", "a calibration", ".toml")]
 What = Annotated[str, typer.Argument(
     metavar="WHAT", help="stiffness, swing, friction, sensors, gait (on a calibration) or all.")]
@@ -95,7 +145,7 @@ NoGait = Annotated[bool, option(
     "Leave out the gait trials that end identify all: the calibration has no discrepancy then.", "--no-gait")]
 
 
-@app.command()
+@app.command(example="bowden identify all --serial 3 -o calibration.toml")
 def identify(
     what: What, output: NewCalibration, calibration: Guess = None, recorded: From = None, picture: Picture = None, *,
     no_gait: NoGait = False, rate: options.Rate = None, simulated: SimulatedOptions, reached: Bus,
@@ -105,8 +155,6 @@ def identify(
 
     The trial that it was measured in is recorded beside it; --from fits such trials again, without a bus. identify
     all ends with two short gait trials, which measure END's departure from the calibrated model.
-
-    Example: bowden identify all --serial 3 -o calibration.toml
     """
     refuse_no_logbook(logbook)
     if picture is not None and what in ("sensors", "gait"):
@@ -131,7 +179,7 @@ def identify(
     return _written(found, output, str(recording), picture, logbook, f"Bench: {chosen.in_words}")
 
 
-def _written(found: Sequence[IdentificationResult], output: Path, source: str, picture: Path | None,
+def _written(found: Sequence[identification.IdentificationResult], output: Path, source: str, picture: Path | None,
              logbook: Path | None, last: str = "") -> CommandAnswer:
     """Write the calibration and the picture of each force path, and enter them; return the answer."""
     files = {one.path: force_paths.file_of(output, one.path) if one.path else output for one in found}
@@ -154,7 +202,7 @@ def _written(found: Sequence[IdentificationResult], output: Path, source: str, p
                          ending.status_of(found[0].reason))
 
 
-def _words(found: IdentificationResult, output: Path, source: str) -> Words:
+def _words(found: identification.IdentificationResult, output: Path, source: str) -> Words:
     if found.calibration is None:
         yield f"Stopped: {found.reason}; no calibration was written. Trial: {source}"
         return

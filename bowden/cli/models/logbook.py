@@ -16,11 +16,7 @@ from parameters import InputError
 
 with on_first_use():
     from bowden.models import logbook_entries
-    from bowden.models.logbook_entries import diagnosed_state
     from logbook import bench_page, bench_state, database
-    from logbook.bench_page import export_table
-    from logbook.bench_state import BenchState, constants_of
-    from logbook.database import TrialEntry, open_logbook
     from trial import signals
     from trial.report import words
 
@@ -48,25 +44,21 @@ SHOWN = 10
 """Constants that `show` prints without --all."""
 
 
-@logbook.command("init")
+@logbook.command("init", example="bowden logbook init bench1")
 def init_logbook(
     folder: Folder, name: Name = "", references: References = 3, path: options.ForcePath = None,
 ) -> CommandAnswer:
-    """Make an empty logbook of one bench; of a bench of several force paths, of the one that --path names.
-
-    Example: bowden logbook init bench1
-    """
+    """Make an empty logbook of one bench; of a bench of several force paths, of the one that --path names."""
     database.create(folder, name, references, path or "")
     return CommandAnswer({"logbook": str(folder), "references": references}, f"Logbook: {folder}")
 
 
-@logbook.command("add")
+@logbook.command("add",
+    example="bowden logbook init bench1 && bowden logbook add bench1 trial.mcap --session 2026-03-02")
 def add_trials(folder: Folder, files: Files, session: options.Session = None) -> CommandAnswer:
     """Enter recorded trials and lab data, and fit them.
 
     A file that was entered is not entered again and keeps its session; where it was moved, its new place is kept.
-
-    Example: bowden logbook init bench1 && bowden logbook add bench1 trial.mcap --session 2026-03-02
     """
     with terminal.fitting(f"fitting {len(files)} trials"):
         entries = logbook_entries.add(folder, dict.fromkeys(files, session))
@@ -77,13 +69,10 @@ def add_trials(folder: Folder, files: Files, session: options.Session = None) ->
         + ("" if entry.estimated else f"; not fitted: {entry.remark}") for entry, new in entries])
 
 
-@logbook.command("list")
+@logbook.command("list", example="bowden logbook init bench1 && bowden logbook list bench1")
 def list_trials(folder: Folder, most: Most = 20) -> CommandAnswer:
-    """List the newest trials.
-
-    Example: bowden logbook init bench1 && bowden logbook list bench1
-    """
-    with open_logbook(folder) as book:
+    """List the newest trials."""
+    with database.open_logbook(folder) as book:
         name, counts, entries = book.name, book.counts(), book.trials(most)
     rows = [(str(e.id), e.label, e.experiment, e.outcome or "–", e.figures.get("relative_rmse_percent"),
              e.path.removeprefix(f"{Path.cwd()}/") if e.there else f"{e.path} (not found)") for e in entries]
@@ -93,60 +82,50 @@ def list_trials(folder: Folder, most: Most = 20) -> CommandAnswer:
             "trial", "session", "experiment", "outcome", "RMSE (%)", "file"), rows)])
 
 
-@logbook.command("show")
+@logbook.command("show", example="bowden logbook init bench1 && bowden logbook show bench1 --limit cable=0.3")
 def show_bench(
     folder: Folder, trial: Number = None, limit: Limits = None, everything: Everything = False,
 ) -> CommandAnswer:
-    """Show what changed, the ten constants that moved most and forecasts, or one trial.
-
-    Example: bowden logbook init bench1 && bowden logbook show bench1 --limit cable=0.3
-    """
-    with open_logbook(folder) as book:
+    """Show what changed, the ten constants that moved most and forecasts, or one trial."""
+    with database.open_logbook(folder) as book:
         if trial is not None:
             return _of_trial(book, trial)
         with terminal.fitting("diagnosing a change"):
-            state = diagnosed_state(book, _limits(limit))
+            state = logbook_entries.diagnosed_state(book, _limits(limit))
         models = book.models()
     return CommandAnswer(state.as_json() | {"models": models},
                          _words(state, len(state.courses) if everything else SHOWN))
 
 
-@logbook.command("report")
+@logbook.command("report", example="bowden logbook init bench1 && bowden logbook report bench1 -o bench1.html")
 def report_bench(folder: Folder, output: options.Page, limit: Limits = None) -> CommandAnswer:
-    """Write the bench as one offline HTML page, alarms first.
-
-    Example: bowden logbook init bench1 && bowden logbook report bench1 -o bench1.html
-    """
+    """Write the bench as one offline HTML page, alarms first."""
     output_files.refuse_inputs([output], [folder / database.FILE])
-    with open_logbook(folder) as book:
+    with database.open_logbook(folder) as book:
         with terminal.fitting("diagnosing a change"):
-            state = diagnosed_state(book, _limits(limit))
+            state = logbook_entries.diagnosed_state(book, _limits(limit))
         size = bench_page.write(book, state, output)
     return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {terminal.size(size)}.")
 
 
-@logbook.command("export")
+@logbook.command("export",
+    example="bowden logbook init bench1 && bowden logbook export bench1 --table constants -o constants.csv")
 def export_logbook(folder: Folder, output: NewTable, table: Table = "trials") -> CommandAnswer:
-    """Write one table of a logbook as CSV or Parquet.
-
-    Example: bowden logbook init bench1 && bowden logbook export bench1 --table constants -o constants.csv
-    """
+    """Write one table of a logbook as CSV or Parquet."""
     output_files.refuse_inputs([output], [folder / database.FILE])
-    with open_logbook(folder) as book:
-        rows = export_table(book, table, output)
+    with database.open_logbook(folder) as book:
+        rows = bench_page.export_table(book, table, output)
     return CommandAnswer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
 
 
-@logbook.command("note")
+@logbook.command("note",
+    example='bowden logbook init bench1 && bowden logbook note bench1 "cable replaced" --part cable')
 def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After = None) -> CommandAnswer:
-    """Enter maintenance; constants of a --part may jump from the next session on without an alarm.
-
-    Example: bowden logbook init bench1 && bowden logbook note bench1 "cable replaced" --part cable
-    """
+    """Enter maintenance; constants of a --part may jump from the next session on without an alarm."""
     if not text.strip():
         raise InputError("logbook note: the text is empty; write what was done.")
-    names = constants_of(part or ())
-    with open_logbook(folder) as book:
+    names = bench_state.constants_of(part or ())
+    with database.open_logbook(folder) as book:
         sessions = {session.label: session.id for session in book.sessions()}
         if after is not None and after not in sessions:
             raise InputError(f"--after {after}: is no session of the logbook; bowden logbook list shows their labels.")
@@ -169,7 +148,7 @@ def _of_trial(book: Any, number: int) -> CommandAnswer:
     return CommandAnswer(entry._asdict() | {"verdicts": verdicts}, _words_of_trial(entry, verdicts))
 
 
-def _words_of_trial(entry: TrialEntry, verdicts: Sequence[dict[str, Any]]) -> Words:
+def _words_of_trial(entry: database.TrialEntry, verdicts: Sequence[dict[str, Any]]) -> Words:
     yield f"Trial {entry.id}, session {entry.label}: {entry.path}" + ("" if entry.there else " (not found)")
     yield (f"  entered {entry.added}; {words.quantity(entry.seconds, 's')} recorded"
            + ("" if entry.estimated else f"; not fitted: {entry.remark}"))
@@ -182,7 +161,7 @@ def _words_of_trial(entry: TrialEntry, verdicts: Sequence[dict[str, Any]]) -> Wo
                + "".join(f", {words.words(name)}" for name in verdict.get("class", ())))
 
 
-def _words(state: BenchState, most: int) -> Words:
+def _words(state: bench_state.BenchState, most: int) -> Words:
     yield from state.sentences()
     for ahead in state.forecasts:
         yield (f"{ahead.constant} is not forecast to reach {ahead.limit:g}." if ahead.sessions is None else

@@ -14,11 +14,8 @@ from parameters import InputError
 from parameters.files import write_whole
 
 with on_first_use():
-    from bowden.mending import supervisor
-    from bowden.mending.mended_bench import MendedBench
+    from bowden.mending import mended_bench, supervisor
     from bowden.models import diagnosing, experiment_plan, logbook_entries
-    from bowden.models.diagnosing import DiscoveryResult
-    from bowden.models.experiment_plan import ExperimentPlan
     from bowden.pages import model_pictures
     from diagnosis.report.headline import law_sentences
     from physics.effects import own_effects
@@ -32,7 +29,7 @@ PlanBook = Annotated[Path | None, option(
 Model = Annotated[Path | None, option("Bench model with effects, TOML: that bench is simulated.", metavar="FILE")]
 
 
-@app.command("plan")
+@app.command("plan", example="bowden plan trial.mcap --healthy good.mcap")
 def plan_experiment(
     trials: Trials = None, healthy: options.Healthy = None, logbook: PlanBook = None, model: Model = None,
     path: options.ForcePath = None,
@@ -40,8 +37,6 @@ def plan_experiment(
     """Find the shortest experiment that separates the effects of an ambiguity set.
 
     Predicted by simulating this bench under the motion of each experiment of the catalogue.
-
-    Example: bowden plan trial.mcap --healthy good.mcap
     """
     if model is not None and (trials or healthy or logbook or path):
         raise InputError("--model simulates its bench; leave trials, --healthy, --logbook and --path out.")
@@ -61,7 +56,7 @@ def plan_experiment(
     return CommandAnswer(found.as_json(), _words(found, good))
 
 
-def _words(found: ExperimentPlan, good: str) -> Words:
+def _words(found: experiment_plan.ExperimentPlan, good: str) -> Words:
     if len(found.among) < 2:
         yield f"Verdict: {found.verdict}. There is nothing to decide between."
         return
@@ -97,7 +92,7 @@ Promoted = Annotated[Path | None, new_file(
     "The terms as effects of your own, TOML, for bowden diagnose --effects.", "an effect", ".toml", name="--promote")]
 
 
-@app.command()
+@app.command(example="bowden discover trial.mcap --healthy good.mcap -o extended.toml --picture law.png")
 def discover(
     trials: DiscoveredTrials = None, healthy: options.Healthy = None, path: options.ForcePath = None,
     lowpass: options.Lowpass = None, output: TermsFile = None, picture: TermPicture = None,
@@ -106,8 +101,6 @@ def discover(
     """Find terms that extend the model where no effect of the catalogue fits.
 
     At most three terms: constants of the bench that change with load, motion, angle or time.
-
-    Example: bowden discover trial.mcap --healthy good.mcap -o extended.toml --picture law.png
     """
     if not trials or not healthy:
         raise NothingGivenError("TRIAL… --healthy TRIAL",
@@ -118,7 +111,8 @@ def discover(
     return CommandAnswer(found.as_json(), _words_of_law(found, written))
 
 
-def _write(found: DiscoveryResult, output: Path | None, picture: Path | None, promote: Path | None) -> list[Path]:
+def _write(found: diagnosing.DiscoveryResult, output: Path | None, picture: Path | None, promote: Path | None
+           ) -> list[Path]:
     """Write the requested files; without a law nothing is written."""
     if not found.terms:
         return []
@@ -131,7 +125,7 @@ def _write(found: DiscoveryResult, output: Path | None, picture: Path | None, pr
     return [path for path in (output, picture, promote) if path is not None]
 
 
-def _words_of_law(found: DiscoveryResult, written: list[Path]) -> Words:
+def _words_of_law(found: diagnosing.DiscoveryResult, written: list[Path]) -> Words:
     yield from map(Paragraph, law_sentences(found.laws))
     yield AnswerTable("RMS error on cycles that no fit has seen", (
         "signal", "unit", "reference", "session", "law"), [
@@ -149,7 +143,7 @@ MendCycles = Annotated[int, option("Gait cycles of each trial.", metavar="COUNT"
 Resume = Annotated[bool, option("Go on with the journal in the folder.", "--resume")]
 
 
-@app.command()
+@app.command(example="bowden mend --reference good.mcap --plant-model bench.toml -o night")
 def mend(
     output: Night, reference: ReferenceTrials = None, hours: Hours = 1.0, cycles: MendCycles = 10,
     resume: Resume = False, *, simulated: SimulatedOptions, reached: BusAlone,
@@ -157,8 +151,6 @@ def mend(
     """Repair the model of a bench unattended.
 
     Records a gait, diagnoses it, runs the experiments that decide, extends the model, and keeps what gains in the loop.
-
-    Example: bowden mend --reference good.mcap --plant-model bench.toml -o night
     """
     if not reference:
         raise NothingGivenError("--reference TRIAL -o DIR",
@@ -170,7 +162,7 @@ def mend(
                          ending.CTRL_C if found.ending.startswith("interrupted") else int(stopped))
 
 
-def _words_of_mended(found: MendedBench) -> Words:
+def _words_of_mended(found: mended_bench.MendedBench) -> Words:
     yield from (Paragraph(f"Law: {equation}.") for equation in found.equations)
     if found.names:
         yield f"Named: {', '.join(map(words, found.names))}."

@@ -24,17 +24,11 @@ with on_first_use():
     from bowden.pages import figures
     from bowden.sweep import summary
     from eds.bench.bench_network import wire
-    from trial import edit
-    from trial.compare import FieldDifference, TrialComparison
-    from trial.compare import compare as compared
-    from trial.convert import csv_table
-    from trial.convert.contents import Contents, contents
-    from trial.convert.csv_file import Dialect
+    from trial import compare as comparing
+    from trial import edit, read
+    from trial.convert import contents as file_contents
+    from trial.convert import csv_file, csv_table, imports
     from trial.convert.export import export as exported
-    from trial.convert.imports import import_file, table_of
-    from trial.edit import EditSummary
-    from trial.read import Trial, open_file
-    from trial.read import open as opened
     from trial.recover import recover as recovered
     from trial.report import compare_page, trial_page, words
 
@@ -49,20 +43,18 @@ Recovered = Annotated[Path, option("File to write.", "-o", "--output", metavar="
 Gait = Annotated[str | None, option("Gait cycles A to B in place of times.", metavar="A-B")]
 
 
-@app.command()
+@app.command(example="bowden info trial.mcap")
 def info(file: Any_) -> CommandAnswer:
     """List the contents of a file of any format.
 
     Streams with rates and gaps, columns with units and ranges, who recorded it.
-
-    Example: bowden info trial.mcap
     """
     with terminal.waiting(f"reading {file}"):
-        found = contents(file)
+        found = file_contents.contents(file)
     return CommandAnswer(found.as_json(), _words_of_contents(found))
 
 
-def _words_of_contents(found: Contents) -> Words:
+def _words_of_contents(found: file_contents.Contents) -> Words:
     when = ""
     if found.begins_ns is not None and found.begins_ns > 10**17:  # an epoch, no trial's clock
         begins = datetime.datetime.fromtimestamp(found.begins_ns // 10**9, datetime.UTC)
@@ -87,15 +79,13 @@ def _words_of_contents(found: Contents) -> Words:
         yield f"  not shown: {', '.join(rest)}; --json has them."
 
 
-@app.command()
+@app.command(example="bowden cut trial.mcap --from 2 --to 6 -o part.mcap")
 def cut(
     file: Recording, output: NewRecording, from_: From = None, to: To = None, gait: Gait = None,
 ) -> CommandAnswer:
     """Write a part of a recording.
 
     By time or by gait cycles; what explains it is carried along.
-
-    Example: bowden cut trial.mcap --from 2 --to 6 -o part.mcap
     """
     if from_ is None and to is None and gait is None:
         raise InputError("cut: nothing says what to keep; give --from, --to or --gait.")
@@ -115,33 +105,30 @@ def _span(gait: str | None) -> tuple[int, int] | None:
     return int(first), int(last or first)
 
 
-@app.command()
+@app.command(
+    example="bowden cut trial.mcap --to 2 -o a.mcap && bowden cut trial.mcap --from 2 -o b.mcap && bowden merge "
+            "a.mcap b.mcap -o whole.mcap")
 def merge(files: Several, output: NewRecording) -> CommandAnswer:
     """Write several recordings as one, by time.
 
     Parts of one recording, or recordings of different topics.
-
-    Example: bowden cut trial.mcap --to 2 -o a.mcap && bowden cut trial.mcap --from 2 -o b.mcap &&
-    bowden merge a.mcap b.mcap -o whole.mcap
     """
     with terminal.waiting("merging"):
         found = edit.merge(files, output, overwrite=True)
     return _written(output, found)
 
 
-def _written(output: Path, found: EditSummary) -> CommandAnswer:
+def _written(output: Path, found: edit.EditSummary) -> CommandAnswer:
     counts = ", ".join(f"{count} of {topic}" for topic, count in found.messages.items())
     return CommandAnswer({"file": str(output), "messages": found.messages, "seconds": found.seconds},
                          f"{output}: {found.seconds:.3f} s; {counts}.")
 
 
-@app.command()
+@app.command(example="bowden recover torn.mcap -o whole.mcap")
 def recover(torn: Torn, output: Recovered, overwrite: options.Overwrite = False) -> CommandAnswer:
     """Repair a torn recording.
 
     Every message that survived is written, indexed again.
-
-    Example: bowden recover torn.mcap -o whole.mcap
     """
     output_files.refuse_ending(output, ".mcap", what="a recording")
     with terminal.progress(f"recovering {torn}") as update:
@@ -151,13 +138,11 @@ def recover(torn: Torn, output: Recovered, overwrite: options.Overwrite = False)
         f"{found.bytes_skipped} bytes left out."))
 
 
-@app.command()
+@app.command(example="bowden report trial.mcap -o report.html")
 def report(trial: options.Trial, output: options.Page, path: options.ForcePath = None) -> CommandAnswer:
     """Write a trial as one offline HTML page.
 
     Figures, plots that zoom together, timing, bus load and events; of several force paths all, or one with --path.
-
-    Example: bowden report trial.mcap -o report.html
     """
     with terminal.waiting(f"reading {trial}"):
         recorded = force_paths.opened(trial, path, whole=True)
@@ -181,7 +166,7 @@ Everything = Annotated[bool, option("Every value and signal that differs, in tab
 Page = Annotated[Path | None, new_file("Both trials in one HTML page.", *options.PAGE, name="--report")]
 
 
-@app.command("import")
+@app.command("import", example="bowden import candump.log -o trial.mcap")
 def import_(
     source: Source, output: options.Output, columns: Map = None, guess: Guess = False, sheet: Sheet = None,
     config: options.Config = None,
@@ -190,8 +175,6 @@ def import_(
 
     Foreign MCAP files, too; every change is counted. The format of a table (encoding, delimiter, decimal sign, units,
     kind of time) is detected and printed.
-
-    Example: bowden import candump.log -o trial.mcap
     """
     if guess:
         if columns is not None:
@@ -201,10 +184,10 @@ def import_(
     mapped = None if columns is None else csv_table.read_map(columns)
     if sheet:
         mapped = mapped or csv_table.Map()
-        mapped.dialect = Dialect(sheet=sheet)
+        mapped.dialect = csv_file.Dialect(sheet=sheet)
     with terminal.progress(f"importing {source}") as update:
         bench = wire(configuration.read(config, any_shape=True)["network"])
-        report = import_file(source, output, mapped=mapped, wire=bench, overwrite=True, progress=update)
+        report = imports.import_file(source, output, mapped=mapped, wire=bench, overwrite=True, progress=update)
     read_as = f"{source}: read with {', '.join(report.read_as)}."
     table = columns is None and bool(report.left_out) and "rows" in report.counts
     return CommandAnswer({"trial": str(output), **report.as_json()}, [
@@ -218,7 +201,7 @@ def import_(
 
 def _guess(source: Path, output: Path, sheet_name: str) -> CommandAnswer:
     output_files.refuse_ending(output, ".toml", what="a map")
-    sheet = table_of(source, sheet_name)
+    sheet = imports.table_of(source, sheet_name)
     write_whole(output, csv_table.text(sheet, str(output)), overwrite=True)
     found = csv_table.guesses(sheet)
     others = csv_table.unassigned(sheet, found)
@@ -237,20 +220,18 @@ def _guess(source: Path, output: Path, sheet_name: str) -> CommandAnswer:
          "are listed there." if columns else ""]))
 
 
-@app.command()
+@app.command(example="bowden export trial.mcap -o trial.csv")
 def export(trial: options.Trial, output: options.Output, mat73: Mat73 = False) -> CommandAnswer:
     """Write a trial as a table or a CAN log.
 
     csv, csv.gz, xlsx, tdms, parquet, mf4 and mat hold its cycles; log, asc, blf and trc its frames.
-
-    Example: bowden export trial.mcap -o trial.csv
     """
     with terminal.progress(f"exporting {trial}") as update:
-        rows = exported(open_file(trial), output, mat73=mat73, overwrite=True, progress=update)
+        rows = exported(read.open_file(trial), output, mat73=mat73, overwrite=True, progress=update)
     return CommandAnswer({"file": str(output), "rows": rows}, f"{output}: {rows} rows.")
 
 
-@app.command()
+@app.command(example="bowden compare a.mcap b.mcap --report compared.html")
 def compare(
     a: A, b: B = None, logbook: History = None, report: Page = None, everything: Everything = False,
     controllers: Controllers = False, picture: Picture = None,
@@ -260,8 +241,6 @@ def compare(
     Exit status 1 if any channel differs.  With --controllers: a sweep's controllers, the best first.  With --logbook:
     the bench's constants in A against their scatter between sessions; exit status 1 if fewer than 1 in 1,000 healthy
     sessions depart as far.
-
-    Example: bowden compare a.mcap b.mcap --report compared.html
     """
     if picture is not None and not controllers:
         raise InputError("--picture shows ranked controllers; give --controllers and the table of a sweep.")
@@ -272,8 +251,8 @@ def compare(
     if b is None:
         return _against_history(a, logbook, report)
     with terminal.waiting("comparing"):
-        one, other = opened(a), opened(b)
-        found = compared(one, other)
+        one, other = read.open(a), read.open(b)
+        found = comparing.compare(one, other)
         if report is not None:
             compare_page.write(one, other, found, report, overwrite=True)
 
@@ -282,7 +261,7 @@ def compare(
         [f"Page: {report}" if report else ""]), 0 if found.same else 1)
 
 
-def _figures(*trials: Trial) -> Words:
+def _figures(*trials: read.Trial) -> Words:
     judged = [compare_page.judged(trial) for trial in trials]
     rows = [(f"{text} ({unit})", *(values.get(name) for values in judged))
             for name, unit, text in trial_page.FIGURES if any(values.get(name) is not None for values in judged)]
@@ -336,7 +315,7 @@ def _against_history(trial: Path, logbook: Path | None, report: Path | None) -> 
 SHOWN = 4  # keys of a line
 
 
-def _words(found: TrialComparison) -> Words:
+def _words(found: comparing.TrialComparison) -> Words:
     """Yield what differs in at most five lines; values of attached files are counted."""
     if found.same:
         yield "The same, in every channel."
@@ -364,12 +343,12 @@ COMPARED = ("tension_end_n", "tension_start_n", "servo_position_m", "knee_angle_
 HASHES = ("commit", "calibration_digest", "packages", "limits_digest")
 
 
-def _change(row: FieldDifference) -> str:
+def _change(row: comparing.FieldDifference) -> str:
     a, b = ("–" if value is None else str(words.plain(row.key, value))[:60] for value in (row.a, row.b))
     return f"{row.key.replace('_', ' ')} {a} in A, {b} in B"
 
 
-def _words_of_everything(found: TrialComparison) -> Words:
+def _words_of_everything(found: comparing.TrialComparison) -> Words:
     if found.same:
         yield "The same, in every channel."
     attached = [(f"{name}: {row.key}", row) for name, rows in found.attachments.items() for row in rows]

@@ -18,11 +18,8 @@ from bowden.trials import force_paths
 from parameters import InputError
 
 with on_first_use():
-    from bowden.replay import Comparison, onto_bus, onto_controller, onto_master, onto_plant, refuse_imported
-    from bowden.replay.onto_bus import PlaybackResult, Playing
-    from bowden.replay.player import Selection
-    from bowden.trials import recorded
-    from bowden.trials.recorded import experiment
+    from bowden.replay import Comparison, onto_bus, onto_controller, onto_master, onto_plant, player, refuse_imported
+    from bowden.trials import recorded as recordings
     from trial.read import Trial, whole
 
 LOST = ("frames were not taken: nodes on the bus send the same COB-IDs, or nobody is on it; "
@@ -57,7 +54,7 @@ Allowed = Annotated[str | None, option(
 Residuals = Annotated[Path | None, new_file("plant: residuals, MCAP.", "residuals", ".mcap")]
 
 
-@app.command()
+@app.command(example="bowden replay trial.mcap --onto controller")
 def replay(
     context: typer.Context, trial: options.Trial, onto: Onto, speed: Speed = 1.0, loop: Loop = 1, from_: From = 0.0,
     to: To = None, step: Step = False, node: Node = None, cob_id: CobId = None, direction: Direction = None,
@@ -67,8 +64,6 @@ def replay(
     """Replay a recorded trial.
 
     Its frames onto a bus, its inputs onto the controller, or its commands onto the simulated plant.
-
-    Example: bowden replay trial.mcap --onto controller
     """
     if onto not in ONTO:
         raise InputError(f"--onto {onto}: expected one of {', '.join(ONTO)}; choose where the trial is replayed.")
@@ -80,14 +75,14 @@ def replay(
     chosen = reached.chosen(simulated, always_simulated=onto == "plant")
     if onto == "plant":
         return _plant(given, chosen, output)
-    network = recorded.sections(given)["network"]
+    network = recordings.sections(given)["network"]
     if nodes_only:
         return _nodes(given, chosen, reached.bitrate or network.bitrate)
     channels = onto_bus.channel_map(map_)
     by_default = direction is None and reached.interface is None and not channels
     if by_default:
         direction = _sent(given)
-    selection = Selection(
+    selection = player.Selection(
         frozenset(node or ()), frozenset(map(_cob_id, cob_id or ())), direction, frozenset(channels), from_, to)
     with onto_bus.opened(
             given, selection, buses.rated(chosen, reached.bitrate or network.bitrate, network), channels,
@@ -117,7 +112,7 @@ def _sent(recorded: Trial) -> str:
 
 
 def _controller(recorded: Trial, allowed: str | None) -> CommandAnswer:
-    chosen = experiment(recorded, allowed=allowed)
+    chosen = recordings.experiment(recorded, allowed=allowed)
     with terminal.progress("controller") as update:
         found = onto_controller.replay(recorded, chosen, update)
 
@@ -166,7 +161,7 @@ def _nodes(recorded: Trial, chosen: buses.BusSettings, bitrate: int) -> CommandA
         "frame: was {0.recorded}, now {0.live}."), ("COB-ID", "frames"))
 
 
-def _step(playing: Playing) -> None:
+def _step(playing: onto_bus.Playing) -> None:
     """Read one line of standard input at a time."""
     if not terminal.quiet():
         terminal.remark(HELP)
@@ -194,7 +189,7 @@ def _position(word: str) -> int:
         raise InputError(f"{word!r} is no command; {HELP}") from None
 
 
-def _played(recorded: Trial, played: PlaybackResult) -> CommandAnswer:
+def _played(recorded: Trial, played: onto_bus.PlaybackResult) -> CommandAnswer:
     """Return the figures of a replay; status 1 if the bus refused some frames."""
     result = {"trial": str(recorded.path), "onto": "bus", **played.as_json()}
     if played.lost and not terminal.quiet():

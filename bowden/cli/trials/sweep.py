@@ -17,8 +17,7 @@ from parameters import InputError
 with on_first_use():
     from bowden.sweep import rows as sweep_rows
     from bowden.sweep import run as sweep_run
-    from bowden.sweep import summary
-    from bowden.sweep.sweep_table import SweepTable
+    from bowden.sweep import summary, sweep_table
     from bowden.trials import provenance
 
 Grid = Annotated[list[str] | None, option(
@@ -35,17 +34,14 @@ Scheduler = Annotated[str | None, option("Dask scheduler to run on, host:port.",
 Table = Annotated[Path, option("Table, .csv or .parquet; continued.", "-o", "--output", metavar="FILE")]
 
 
-@app.command()
+@app.command(example="bowden sweep --grid peak=40,50,60 --grid serial=1-20 --identify --grid day=1 -o table.csv")
 def sweep(
     output: Table, grid: Grid = None, draw: Draw = None, draws: Draws = 1, draw_seed: DrawSeed = 0,
     identify: Identify = False, calibration: options.Calibration = None, knee: options.Knee = None,
     desired: options.Desired = None, config: options.Config = None, keep: Keep = None, workers: Workers_ = None,
     scheduler: Scheduler = None, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
-    """Run trials over grids and random draws of any value. One row a trial; a partial table is continued.
-
-    Example: bowden sweep --grid peak=40,50,60 --grid serial=1-20 --identify --grid day=1 -o table.csv
-    """
+    """Run trials over grids and random draws of any value. One row a trial; a partial table is continued."""
     if draws < 1 or draw_seed < 0 or (workers is not None and workers < 1):
         raise typer.BadParameter("--draws and --workers are whole numbers from 1, --draw-seed from 0")
     if identify and calibration is not None:
@@ -58,7 +54,7 @@ def sweep(
         [sweep_rows.draw(text) for text in draw or ()], draws, draw_seed)
     if keep is not None and not keep.is_dir():
         raise InputError(f"--keep {keep}: is no directory; make it first.")
-    with SweepTable(output, list(rows[0]), overwrite=overwrite) as table:
+    with sweep_table.SweepTable(output, list(rows[0]), overwrite=overwrite) as table:
         resumed = sum(table.found(row) is not None for row in rows)
         if resumed:
             terminal.remark(f"{table.path}: {resumed} of {len(rows)} trials are there from before.")

@@ -1,38 +1,36 @@
-"""`bowden trial`: one experiment, on the virtual bus or on a real one, recorded in one MCAP file."""
+"""`bowden trial`, `verify`: an experiment, recorded in one MCAP file, or run twice to judge a bench model."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+from bowden import output_files
 from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, option
+from bowden.cli.options import Bus, SimulatedOptions, StrideOptions, WalkOptions, WatchOptions, argument, option
 from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
+from parameters import InputError
 
 with on_first_use():
     from bowden.bench import light_imports
     from bowden.live import feeds
-    from bowden.live.feeds import TrialFeed, places
     from bowden.models import logbook_entries
     from bowden.pages import figures
+    from bowden.trials import experiment as experiments
     from bowden.trials import repeated_motion, session
-    from bowden.trials.session import PreparedTrial
-    from bowden.watch import watch_process
-    from bowden.watch.file_watch import WatchedBench
-    from bowden.watch.watch_process import TrialWatch
+    from bowden.watch import file_watch, watch_process
     from trial import signals
 
 NewTrial = Annotated[Path, options.new_file("File to write.", "a trial", ".mcap")]
 Web = Annotated[str | None, option("Live page with a stop button; port 0: a free one.", metavar="[HOST:]PORT")]
 
 
-@app.command()
+@app.command(example="bowden trial --peak 40 --cycles 3 -o trial.mcap")
 def trial(
     output: NewTrial, walk: WalkOptions, strides: StrideOptions, knee: options.Knee = None,
     desired: options.Desired = None, calibration: options.Calibration = None,
@@ -46,8 +44,6 @@ def trial(
 
     --web shows it while it runs, with a button for the safe stop; the address goes to stderr. --watch diagnoses it
     while it runs, in a separate process.
-
-    Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
     light_imports.load()
     own = {"--knee": knee, "--desired": desired, "--calibration": calibration, "--controller-model": controller_model}
@@ -83,10 +79,15 @@ def trial(
         ending.status_of(result["stop_reason"]))
 
 
-def _performed(prepared: PreparedTrial, network: Any, output: Path, picture: Path | None, web: str | None,
-               bench: WatchedBench | None, chosen: buses.BusSettings, *, overwrite: bool) -> dict[str, Any]:
+def _performed(prepared: session.PreparedTrial, network: Any, output: Path, picture: Path | None, web: str | None,
+               bench: file_watch.WatchedBench | None, chosen: buses.BusSettings, *, overwrite: bool) -> dict[str, Any]:
     """Run a trial with its live page and its watches; return its figures and, by path, the watches' findings."""
-    with (_watches(bench, output, network, chosen) as watches, _page(web, output.name, network) as page):
+    with ExitStack() as opened:
+        watches = {} if bench is None else {path: opened.enter_context(watch_process.beside(
+            output, replace(bench, path=path or None), place, paced=chosen.simulated, shown=not terminal.quiet()))
+            for path, place in zip(network.bench.path_prefixes, feeds.places(network, ("cycle",)), strict=True)}
+        page = None if web is None else opened.enter_context(feeds.of_trial(
+            web, output.name, network, lambda url: terminal.remark(f"live page: {url}")))
         if page is not None:
             for watch in watches.values():
                 watch.show = page.suspected
@@ -109,26 +110,6 @@ def _where(chosen: buses.BusSettings) -> str:
         told = ", ".join(f"{name} {chosen.arguments[name]}" for name in ("serial", "day", "seed", "plant"))
         return f"SIMULATED bench, {told}; --interface names a real bus."
     return f"bench on {chosen.in_words}."
-
-
-def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[TrialFeed | None]:
-    """Return the live page of the trial; None without --web."""
-    if web is None:
-        return nullcontext()
-    return feeds.of_trial(web, name, network, lambda url: terminal.remark(f"live page: {url}"))
-
-
-@contextmanager
-def _watches(bench: WatchedBench | None, output: Path, network: Any, chosen: buses.BusSettings
-             ) -> Iterator[dict[str, TrialWatch]]:
-    """Yield the watch of each force path of the trial, each in a separate process; none without --watch."""
-    if bench is None:
-        yield {}
-        return
-    with ExitStack() as stack:
-        yield {path: stack.enter_context(watch_process.beside(
-            output, replace(bench, path=path or None), place, paced=chosen.simulated, shown=not terminal.quiet()))
-            for path, place in zip(network.bench.path_prefixes, places(network, ("cycle",)), strict=True)}
 
 
 def _words(result: dict[str, Any], picture: Path | None, bus: str, logbook: Path | None, *, dry_run: bool,
@@ -191,3 +172,60 @@ def _tables(result: dict[str, Any], *, dry_run: bool) -> Words:
         yield (f"Phase: {figure(walk['phase_error_rms_percent'])} % of the gait rms; largest END at idle "
                f"{figure(walk['idle_n'])} N; longest time with more than 3 N off phase "
                f"{figure(walk['off_phase_ms'])} ms")
+
+
+VerifiedModel = Annotated[Path, argument("EXTENDED", "extended.toml of bowden diagnose -o.")]
+VerifiedTrials = Annotated[Path, option(
+    "Trials to write: FILE with -before and -after before its suffix.", "-o", "--output", metavar="FILE")]
+
+
+@app.command(example="bowden verify extended.toml --plant-model bench.toml --cycles 4 -o verify.mcap")
+def verify(
+    model: VerifiedModel, output: VerifiedTrials, walk: WalkOptions, rate: options.Rate = None,
+    calibration: options.Calibration = None, *, simulated: SimulatedOptions, reached: Bus,
+    path: options.ForcePath = None, overwrite: options.Overwrite = False,
+) -> CommandAnswer:
+    """Measure what compensation of named effects gains in the control loop.
+
+    One experiment twice on a bench, without and with compensation of the effects in EXTENDED.  Of several force paths
+    EXTENDED has one file each, such as extended.left.toml; a path without one is not compensated.
+
+    The controller is the extended one unless another is named.
+    """
+    sections = reached.sections(rate)
+    sections["gait"] = walk.gait(sections["gait"], controller="extended")
+    chosen = reached.chosen(simulated)
+    files = {name: output.with_name(f"{output.stem}-{name}{output.suffix}") for name in ("before", "after")}
+    names = [one.name for one in sections["network"].bench.force_paths]
+    if (path is not None or len(names) > 1) and path not in names:
+        raise InputError(f"--path {path or 'is missing'}: name the force path that is judged, of {', '.join(names)}.")
+    output_files.refuse_ending(output, ".mcap", what="a trial")
+    output_files.refuse(files.values(), overwrite=overwrite, inputs=[
+        model, calibration, reached.config, simulated.plant_model])
+    prepared = {
+        name: session.prepare_gait(sections, calibration, chosen, peak_given=walk.peak is not None,
+                                   period_given=walk.period is not None,
+                                   controller_model=model if name == "after" else None) for name in files}
+    figures = {name: session.perform(prepared[name], file, overwrite=overwrite, progress=terminal.TERMINAL,
+                                     announce="" if terminal.quiet() else f"{name}, bench on {chosen.in_words}.")
+               for name, file in files.items()}
+    extended = prepared["after"].paths.get(path or "", prepared["after"].experiment)
+    figures = {name: one | one.get("paths", {}).get(path, {}) for name, one in figures.items()}
+    judged, gain = experiments.gained(figures["before"], figures["after"])
+    result = {"controller_model": str(model), "effects": {name: dict(of) for name, of in extended.known.items()},
+              "terms": [term.equation for term in extended.terms], "judged_by": judged, "gain_percent": gain, **figures}
+    return CommandAnswer(result, _words_of_verified(result, figures),
+                         max(ending.status_of(one["stop_reason"]) for one in figures.values()))
+
+
+def _words_of_verified(result: dict[str, Any], figures: dict[str, dict[str, Any]]) -> Words:
+    true = result["judged_by"].startswith("true_")
+    changes = ", ".join([*result["effects"], *result["terms"]]) or "no effect"
+    yield AnswerTable(
+        f"{changes}: END {'true' if true else 'by its sensor'}, controller {figures['after']['controller']}",
+        ("END", "uncompensated", "compensated"), [
+            (f"{one.text} ({one.unit})", *(figures[name]["true_" * true + one.name] for name in ("before", "after")))
+            for one in signals.FORCE_FIGURES])
+    yield f"Gain in relative RMSE: {terminal.number(result['gain_percent'], 1)} %"
+    for name, one in figures.items():
+        yield f"Trial {name}: {one['trial']}" + (f", stopped: {one['stop_reason']}" if one["stop_reason"] else "")
