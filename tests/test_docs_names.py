@@ -14,7 +14,7 @@ ROOMS = ("parameters", "eds", "physics", "nodes", "trial", "master", "estimation
          "logbook", "virtual_bus", "bowden")
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 MODULES = {path.stem: path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))
-           if path.stem != "__init__" and "cli" not in path.parts}
+           if path.stem != "__init__" and "cli" not in path.relative_to(ROOT).parts}
 SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 FILE = re.compile(r"(?:[a-z_]+/)+[a-z0-9_]+\.py")
 DOTTED = re.compile(r"((?:[a-z_]+\.)*)([a-z_]+)\.([A-Za-z_]+)(?:\(.*\))?")
