@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -27,7 +30,7 @@ with on_first_use():
     from safety_monitor import MonitorNode, read
     from safety_monitor import person as persons
     from virtual_bus.bus import BowdenBus
-    from virtual_bus.serve import servable, serve
+    from virtual_bus.serve import ServeFigures, servable, serve
 
 Faults = Annotated[Path | None, option(
     "Faults of nodes: [[fault]] tables with kind, node, start_s, stop_s.", metavar="FILE")]
@@ -49,23 +52,28 @@ def bench(
     injected = () if faults is None else servable(faults)
     network = configuration.with_monitor(configuration.read(config)["network"], monitor)
     session.compile_laws(simulated=True, progress=terminal.TERMINAL)
-    with buses.opened_one(chosen, bitrate or network.bitrate) as real:
-        made = {**arguments, **buses.simulating(network), "bitrate": bitrate or network.bitrate,
-                "rate_hz": rate or network.rate_hz, "faults": injected}
-        made.pop("interface")
-        hidden = BowdenBus(**made)
-        terminal.remark(f"the bench is on {chosen.in_words}; Ctrl-C ends it.")
-        over = ending.after(seconds)
-        try:
-            with prepared(), ending.interrupted() as ended:
-                served = serve(real, hidden.bench, time.monotonic_ns, lambda: ended() or over(),
-                               echoes=interface == "udp_multicast")
-        except can.CanOperationError as error:
-            terminal.remark(f"{interface} is gone ({error}); the bench ends.")
-            return 1
-        finally:
-            hidden.shutdown()
-    result = {"received": served.received, "sent": served.sent, "lost": served.lost, "behind_ns": served.behind_ns}
+    made = {**arguments, **buses.simulating(network), "bitrate": bitrate or network.bitrate,
+            "rate_hz": rate or network.rate_hz, "faults": injected}
+    made.pop("interface")
+    with buses.opened_one(chosen, made["bitrate"]) as real, BowdenBus(**made) as hidden, prepared():
+        return served("the bench", chosen, seconds, partial(serve, real, hidden.bench), asdict)
+
+
+def served(what: str, chosen: buses.BusSettings, seconds: float | None, run: Callable[..., ServeFigures],
+           shown: Callable[[ServeFigures], dict[str, Any]]) -> CommandAnswer | int:
+    """Run `run(clock, stop, echoes=)` in wall time until Ctrl-C or for `seconds`; return its `shown` figures.
+
+    Status 1 if the interface is gone.
+    """
+    over, interface = ending.after(seconds), chosen.arguments["interface"]
+    terminal.remark(f"{what} is on {chosen.in_words}; Ctrl-C ends it.")
+    try:
+        with ending.interrupted() as ended:
+            figures = run(time.monotonic_ns, lambda: ended() or over(), echoes=interface == "udp_multicast")
+    except can.CanOperationError as error:
+        terminal.remark(f"{interface} is gone ({error}); {what} ends.")
+        return 1
+    result = shown(figures)
     return CommandAnswer(result, ", ".join(f"{name} {value}" for name, value in result.items()),
                          ending.CTRL_C if ended() else 0)
 

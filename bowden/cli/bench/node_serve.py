@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import shutil
-import time
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 from bowden.bench import buses
-from bowden.cli import ending, options, terminal
+from bowden.cli import options, terminal
+from bowden.cli.bench.bench import served
 from bowden.cli.bench.node import Eds, Force, Name, node, node_id_of
 from bowden.cli.options import Bus, argument, keyed, option
 from bowden.cli.terminal import CommandAnswer
@@ -17,8 +17,6 @@ from bowden.deferred import on_first_use
 from parameters import InputError
 
 with on_first_use():
-    import can
-
     from bowden.testing import CanBus, CanopenNode
     from eds.datatype import decode
     from eds.files import bus_yml
@@ -82,26 +80,18 @@ def serve(
     if reached.interface is None:
         raise InputError("node serve: a node is for other programs' bus; add --interface socketcan --channel can0 (or "
                          "another).")
-    served = CanBus()
-    made = served.add_node(file, node_id, profile=_application(profile), serial=serial, store=store)
+    own_bus = CanBus()
+    made = own_bus.add_node(file, node_id, profile=_application(profile), serial=serial, store=store)
     keyed("--set", settings, "OBJECT=VALUE; write for instance 6064=1000", partial(_set, made))
     counted = keyed("--fault", faults, "KIND=COBID with count=N, after=N, and ms=, bit= or size= for delay, corrupt "
-                    "and shorten; write for instance drop=585,count=2", partial(_fault, served))
+                    "and shorten; write for instance drop=585,count=2", partial(_fault, own_bus))
     for fault in made.eds_faults:
         terminal.remark(fault)
-    over = ending.after(seconds)
-    with buses.opened_one(reached.chosen(), reached.network().bitrate) as bus, ending.interrupted() as ended:
-        terminal.remark(f"node {node_id} is on {reached.chosen().in_words}; Ctrl-C ends it.")
-        try:
-            figures = served.serve(bus, time.monotonic_ns, lambda: ended() or over(),
-                                   echoes=reached.interface == "udp_multicast")
-        except can.CanOperationError as error:
-            terminal.remark(f"{reached.interface} is gone ({error}); the node ends.")
-            return 1
-    result = {"node": made.node_id, "state": made.state.name, "received": figures.received, "sent": figures.sent,
-              "lost": figures.lost, "faults": [one.struck for one in counted]}
-    return CommandAnswer(result, ", ".join(f"{name} {value}" for name, value in result.items()),
-                         ending.CTRL_C if ended() else 0)
+    chosen = reached.chosen()
+    with buses.opened_one(chosen, reached.network().bitrate) as bus:
+        return served(f"node {node_id}", chosen, seconds, partial(own_bus.serve, bus), lambda figures: {
+            "node": made.node_id, "state": made.state.name, "received": figures.received, "sent": figures.sent,
+            "lost": figures.lost, "faults": [one.struck for one in counted]})
 
 
 def _application(profile: int | None) -> Application | None:
