@@ -32,16 +32,15 @@ with on_first_use():
     from virtual_bus.bus import BowdenBus
     from virtual_bus.serve import ServeFigures, servable, serve
 
-Faults = Annotated[Path | None, option(
-    "Faults of nodes: [[fault]] tables with kind, node, start_s, stop_s.", metavar="FILE")]
-
 
 @app.command(example="bowden bench --interface udp_multicast --channel 239.74.163.2 --for 5")
 def bench(
     interface: options.AnyInterface, channel: options.Channel = None, rate: options.Rate = None,
     config: options.Config = None, *, simulated: SimulatedOptions, bitrate: options.Bitrate = None,
-    option: options.Extra = None, faults: Faults = None, monitor: options.SafetyMonitor = None,
-    seconds: options.Seconds = None,
+    option: options.Extra = None,
+    faults: Annotated[Path | None, option(
+        "Faults of nodes: [[fault]] tables with kind, node, start_s, stop_s.", metavar="FILE")] = None,
+    monitor: options.SafetyMonitor = None, seconds: options.Seconds = None,
 ) -> CommandAnswer | int:
     """Serve the simulated bench on a bus.
 
@@ -78,13 +77,12 @@ def served(what: str, chosen: buses.BusSettings, seconds: float | None, run: Cal
                          ending.CTRL_C if ended() else 0)
 
 
-BenchTrials = Annotated[list[Path], options.argument("TRIAL…", "Completed trials of the bench without a limb: MCAP.")]
-PersonFile = Annotated[Path, option("The person's file.", "--person", metavar="FILE")]
-NewPersonFile = Annotated[Path, options.new_file("The person's file to write.", "a person's file", ".toml")]
-
-
 @app.command(name="monitor-bounds", example="bowden monitor-bounds bench.mcap --person person.toml -o P-017.toml")
-def monitor_bounds(trials: BenchTrials, person: PersonFile, output: NewPersonFile) -> CommandAnswer:
+def monitor_bounds(
+    trials: Annotated[list[Path], options.argument("TRIAL…", "Completed trials of the bench without a limb: MCAP.")],
+    person: Annotated[Path, option("The person's file.", "--person", metavar="FILE")],
+    output: Annotated[Path, options.new_file("The person's file to write.", "a person's file", ".toml")],
+) -> CommandAnswer:
     """Set the safety monitor's bounds that are the bench's.
 
     START, the rise of a tension and the speed of the rope become at least 1.25 times the largest values of the trials;
@@ -108,16 +106,14 @@ def _words_of_bounds(output: Path, found: list[bench_bounds.BenchBound]) -> Word
     yield f"{output}: " + (f"larger now: {'; '.join(raised)}." if raised else "no bound had to be larger.")
 
 
-Person = Annotated[str, typer.Argument(metavar="FILE", help="Bounds of one person, or packaged.")]
-MonitorInterface = Annotated[str, option("python-can interface of the bench's bus.", metavar="NAME")]
-BoardName = Annotated[str, option("Sensors and enable output.", "--board", metavar="MODULE:NAME")]
-
-
 @app.command(name="safety-monitor",
     example="bowden safety-monitor person.toml --interface socketcan --channel can0 --board my_board:Board")
 def safety_monitor(
-    person: Person, interface: MonitorInterface, board: BoardName, channel: options.Channel = None,
-    bitrate: options.Bitrate = None, option: options.Extra = None, config: options.Config = None,
+    person: Annotated[str, typer.Argument(metavar="FILE", help="Bounds of one person, or packaged.")],
+    interface: Annotated[str, option("python-can interface of the bench's bus.", metavar="NAME")],
+    board: Annotated[str, option("Sensors and enable output.", "--board", metavar="MODULE:NAME")],
+    channel: options.Channel = None, bitrate: options.Bitrate = None, option: options.Extra = None,
+    config: options.Config = None,
 ) -> CommandAnswer:
     """Run the safety monitor: read its sensors, and open the enable line (STO) when a bound of FILE is exceeded.
 

@@ -291,9 +291,7 @@ def compare(name: Name, file: File, reached: Bus) -> CommandAnswer:
 
 
 @node.command(example="bowden node backup servo -o servo.dcf && bowden node restore servo servo.dcf")
-def restore(
-    name: Name, file: File, reached: Bus, force: Force = False,
-) -> CommandAnswer:
+def restore(name: Name, file: File, reached: Bus, force: Force = False) -> CommandAnswer:
     """Write what differs from a DCF into the node and store it there."""
     found = _against_a_dcf(name, file, reached, dcf.restore, force=force, acts=True)
     return _differences(name, file, found, "restored")

@@ -36,9 +36,6 @@ with on_first_use():
 check = CommandGroup(help="Find faults before anything runs.")
 app.add_typer(check, name="check")
 
-Files = Annotated[list[Path], argument("FILE…", "EDS or DCF files.")]
-ConfigFile = Annotated[Path, argument("FILE", "bench.toml.")]
-
 
 @app.command(example="bowden init -o bench.toml")
 def init(
@@ -65,7 +62,7 @@ def _asked(record: type[Any]) -> dict[str, str]:
 
 
 @check.command("config", example="bowden init -o bench.toml && bowden check config bench.toml")
-def check_config(file: ConfigFile) -> CommandAnswer:
+def check_config(file: Annotated[Path, argument("FILE", "bench.toml.")]) -> CommandAnswer:
     """Check a bench.toml: deadlines of its network, limits, and who holds each safety function."""
     sections = configuration.read(file, any_shape=True)
     network, limits = sections["network"], sections["limits"]
@@ -115,7 +112,7 @@ def _numbers(section: Any) -> list[tuple[str, str]]:
 
 
 @check.command("eds", example="bowden check eds my_drive.eds")
-def check_eds(files: Files) -> CommandAnswer:
+def check_eds(files: Annotated[list[Path], argument("FILE…", "EDS or DCF files.")]) -> CommandAnswer:
     """List the faults of EDS or DCF files, with the place and the remedy."""
     found = [finding for file in files for finding in findings(file)]
     return CommandAnswer(
@@ -124,16 +121,16 @@ def check_eds(files: Files) -> CommandAnswer:
         1 if found else 0)
 
 
-Checked = Annotated[Path, option("Calibration to enter the checks in.", "--calibration", metavar="FILE")]
 Weight = Annotated[float | None, option("Known weight on this load cell, N; at least 10.", metavar="N")]
-Angle = Annotated[list[float] | None, option(
-    "Knee angle by a goniometer, degrees (flexion < 0); twice, at least 40 apart.", metavar="DEG")]
 
 
 @check.command("bench",
     example="bowden check bench --calibration calibration.toml --start 20 --end 20 --knee 0 --knee -60")
 def check_bench(
-    calibration: Checked, start: Weight = None, end: Weight = None, knee: Angle = None,
+    calibration: Annotated[Path, option("Calibration to enter the checks in.", "--calibration", metavar="FILE")],
+    start: Weight = None, end: Weight = None,
+    knee: Annotated[list[float] | None, option(
+        "Knee angle by a goniometer, degrees (flexion < 0); twice, at least 40 apart.", metavar="DEG")] = None,
     path: options.ForcePath = None, *, simulated: SimulatedOptions, reached: Bus,
 ) -> CommandAnswer:
     """Compare load cells with a known weight and the knee with a goniometer.
@@ -173,12 +170,10 @@ def check_bench(
         0 if all(one.passed for one in made) else 1)
 
 
-TimerSeconds = Annotated[float, option("Duration of the timer check.", "--for", metavar="S", min=0.1)]
-
-
 @app.command(example="bowden doctor --interface socketcan --channel can0")
 def doctor(
-    reached: Bus, seconds: TimerSeconds = 5.0,
+    reached: Bus,
+    seconds: Annotated[float, option("Duration of the timer check.", "--for", metavar="S", min=0.1)] = 5.0,
     compiles: Annotated[bool, option(
         "Compile the laws and end: the warm-up of a container image.", "--compile")] = False,
     soak: Annotated[float | None, option(
@@ -227,10 +222,6 @@ def _soak(reached: Bus, minutes: float, output: Path | None) -> CommandAnswer:
         0 if nodes and not figures.error_frames and not figures.unanswered else 1)
 
 
-Sensor = Annotated[str, argument("SENSOR", "start, end, or a declared load cell.")]
-Axis = Annotated[str, argument("AXIS", "servo or knee, or a declared drive.")]
-By = Annotated[float, option("mm of rope (pulling > 0) or degrees of knee (flexion < 0).", metavar="X")]
-Speed = Annotated[float, option("mm/s or degrees/s at most (default 10).", metavar="V", show_default=False)]
 SPEED = 10.0
 REMEDY = "free the emergency stop (STO) first, then say this again"
 
@@ -253,7 +244,8 @@ def home(
 
 @app.command(example="bowden tare start --interface socketcan --channel can0")
 def tare(
-    sensor: Sensor, rate: options.Rate = None, path: options.ForcePath = None, *, reached: Bus,
+    sensor: Annotated[str, argument("SENSOR", "start, end, or a declared load cell.")],
+    rate: options.Rate = None, path: options.ForcePath = None, *, reached: Bus,
 ) -> CommandAnswer:
     """Zero a tension sensor.
 
@@ -265,8 +257,10 @@ def tare(
 
 @app.command(example="bowden jog servo --by -2 --speed 5 --interface socketcan --channel can0")
 def jog(
-    axis: Axis, by: By, speed: Speed = SPEED, rate: options.Rate = None, path: options.ForcePath = None, *,
-    reached: Bus,
+    axis: Annotated[str, argument("AXIS", "servo or knee, or a declared drive.")],
+    by: Annotated[float, option("mm of rope (pulling > 0) or degrees of knee (flexion < 0).", metavar="X")],
+    speed: Annotated[float, option("mm/s or degrees/s at most (default 10).", metavar="V", show_default=False)] = SPEED,
+    rate: options.Rate = None, path: options.ForcePath = None, *, reached: Bus,
 ) -> CommandAnswer:
     """Move one axis slowly, alone; the other drive stays off."""
     bench = _Bench(reached, rate, path)

@@ -23,38 +23,37 @@ with on_first_use():
     from diagnosis.report import figure_export, headline
     from trial.report.words import quantities, words
 
-Trials = Annotated[list[Path] | None, argument("TRIAL…", "MCAP, or CSV (.gz) with canonical headers.")]
-Holdout = Annotated[list[Path] | None, option("Never fitted, only judged; repeatable.", metavar="TRIAL")]
-Extended = Annotated[Path | None, new_file(
-    "extended.toml: named effects, for --plant-model and --controller-model.", "what was found", ".toml")]
-Report = Annotated[Path | None, new_file("One HTML page that needs no network.", *options.PAGE, name="--report")]
-Figures = Annotated[Path | None, option("Folder for pictures (PNG) and tables (CSV).", metavar="DIR")]
-Tracked = Annotated[tuple[Path, Path] | None, option(
-    "With --report: the two trials of bowden verify, shown in it.", metavar="BEFORE AFTER")]
-Each = Annotated[bool, option("Diagnose each TRIAL separately, several at a time.", "--each")]
-Workers = Annotated[int | None, option("With --each: processes (default: one a processor).", metavar="COUNT", min=1)]
-Scheduler = Annotated[str | None, option("With --each: Dask scheduler to run on, host:port.", metavar="ADDRESS")]
-Planned = Annotated[str | None, option(
-    "Without a trial: smallest size of each effect that gait, or an experiment of bowden trial --experiment, would "
-    "show.", "--plan", metavar="EXPERIMENT", autocompletion=options.experiments)]
-Terms = Annotated[bool, option(
-    "If effects do not explain the whole trial, search terms, too, as bowden discover.", "--terms")]
-Effects = Annotated[list[Path] | None, option(
-    "Effects of your own, TOML, beside those of the catalogue; repeatable.", metavar="FILE")]
-Noise = Annotated[float | None, option("With --plan: noise of both tension sensors, 1σ.", metavar="N")]
-
 
 @app.command(example="bowden diagnose trial.mcap --healthy good.mcap -o extended.toml --report diagnosis.html")
 def diagnose(
-    trials: Trials = None, calibration: options.Calibration = None, healthy: options.Healthy = None,
-    holdout: Holdout = None, path: options.ForcePath = None, lowpass: options.Lowpass = None, output: Extended = None,
-    report: Report = None, figures: Figures = None, terms: Terms = False, effects: Effects = None,
-    tracked: Tracked = None, each: Each = False,
-    workers: Workers = None, scheduler: Scheduler = None,
+    trials: Annotated[list[Path] | None, argument("TRIAL…", "MCAP, or CSV (.gz) with canonical headers.")] = None,
+    calibration: options.Calibration = None, healthy: options.Healthy = None,
+    holdout: Annotated[list[Path] | None, option("Never fitted, only judged; repeatable.", metavar="TRIAL")] = None,
+    path: options.ForcePath = None, lowpass: options.Lowpass = None,
+    output: Annotated[Path | None, new_file(
+        "extended.toml: named effects, for --plant-model and --controller-model.", "what was found", ".toml")] = None,
+    report: Annotated[Path | None, new_file(
+        "One HTML page that needs no network.", *options.PAGE, name="--report")] = None,
+    figures: Annotated[Path | None, option("Folder for pictures (PNG) and tables (CSV).", metavar="DIR")] = None,
+    terms: Annotated[bool, option(
+        "If effects do not explain the whole trial, search terms, too, as bowden discover.", "--terms")] = False,
+    effects: Annotated[list[Path] | None, option(
+        "Effects of your own, TOML, beside those of the catalogue; repeatable.", metavar="FILE")] = None,
+    tracked: Annotated[tuple[Path, Path] | None, option(
+        "With --report: the two trials of bowden verify, shown in it.", metavar="BEFORE AFTER")] = None,
+    each: Annotated[bool, option("Diagnose each TRIAL separately, several at a time.", "--each")] = False,
+    workers: Annotated[int | None, option(
+        "With --each: processes (default: one a processor).", metavar="COUNT", min=1)] = None,
+    scheduler: Annotated[str | None, option(
+        "With --each: Dask scheduler to run on, host:port.", metavar="ADDRESS")] = None,
     logbook: Annotated[Path | None, option(
         "Logbook to enter the verdict in; it replaces --healthy.", metavar="DIR")] = None,
-    plan: Planned = None, peak: options.Peak = None, period: options.Period = None, cycles: options.Cycles = None,
-    noise: Noise = None, overwrite: options.Overwrite = False,
+    plan: Annotated[str | None, option(
+        "Without a trial: smallest size of each effect that gait, or an experiment of bowden trial --experiment, would "
+        "show.", "--plan", metavar="EXPERIMENT", autocompletion=options.experiments)] = None,
+    peak: options.Peak = None, period: options.Period = None, cycles: options.Cycles = None,
+    noise: Annotated[float | None, option("With --plan: noise of both tension sensors, 1σ.", metavar="N")] = None,
+    overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Name the causes of the simulation's errors.
 

@@ -36,15 +36,12 @@ with on_first_use():
     from trial.report.words import quantity
 
 
-HealthyTrials = Annotated[list[Path], argument(
-    "TRIAL…", "Healthy trials of one bench: MCAP, or CSV (.gz) with canonical headers.")]
-FittedModel = Annotated[Path, new_file("model.toml to write.", "a bench model", ".toml")]
-
-
 @app.command(example="bowden fit good.mcap -o model.toml")
 def fit(
-    trials: HealthyTrials, output: FittedModel, path: options.ForcePath = None, lowpass: options.Lowpass = None,
-    logbook: options.Logbook = None,
+    trials: Annotated[list[Path], argument(
+        "TRIAL…", "Healthy trials of one bench: MCAP, or CSV (.gz) with canonical headers.")],
+    output: Annotated[Path, new_file("model.toml to write.", "a bench model", ".toml")],
+    path: options.ForcePath = None, lowpass: options.Lowpass = None, logbook: options.Logbook = None,
 ) -> CommandAnswer:
     """Fit calibration and simulation of a bench, from its healthy trials.
 
@@ -84,15 +81,13 @@ def _words_of_fit(output: Path, found: bench_fit.FittedBench) -> Words:
     yield f"Model: {output}"
 
 
-Trial = Annotated[Path, argument("TRIAL", "MCAP, or CSV (.gz) with rope position and knee angle (none: locked).")]
-Model = Annotated[Path | None, option(
-    "model.toml of bowden fit, or extended.toml (default: the nominal bench).", metavar="FILE")]
-Tensions = Annotated[Path | None, new_file("CSV of measured and simulated tensions.", "a table", ".csv")]
-
-
 @app.command(example="bowden simulate trial.mcap --model model.toml")
 def simulate(
-    trial: Trial, model: Model = None, output: Tensions = None, path: options.ForcePath = None,
+    trial: Annotated[Path, argument("TRIAL", "MCAP, or CSV (.gz) with rope position and knee angle (none: locked).")],
+    model: Annotated[Path | None, option(
+        "model.toml of bowden fit, or extended.toml (default: the nominal bench).", metavar="FILE")] = None,
+    output: Annotated[Path | None, new_file("CSV of measured and simulated tensions.", "a table", ".csv")] = None,
+    path: options.ForcePath = None,
 ) -> CommandAnswer:
     """Simulate a bench under a trial's measured motion.
 
@@ -133,23 +128,21 @@ def _words_of_simulation(result: dict[str, Any], figures: dict[str, Any]) -> Wor
         yield "No tension was measured: nothing to compare with."
 
 
-NewCalibration = Annotated[Path, new_file("File to write.", "a calibration", ".toml")]
-What = Annotated[str, typer.Argument(
-    metavar="WHAT", help="stiffness, swing, friction, sensors, gait (on a calibration) or all.")]
-Guess = Annotated[Path | None, option("Calibration to start from.", "--calibration", metavar="FILE")]
-From = Annotated[list[Path] | None, option(
-    "Fit recorded experiments in place of measuring; repeatable.", "--from", metavar="TRIAL")]
-Picture = Annotated[Path | None, new_file(
-    "Draw the paper's Figs. 9 and 10 (png, svg, pdf).", *options.PICTURE, name="--picture")]
-NoGait = Annotated[bool, option(
-    "Leave out the gait trials that end identify all: the calibration has no discrepancy then.", "--no-gait")]
-
-
 @app.command(example="bowden identify all --serial 3 -o calibration.toml")
 def identify(
-    what: What, output: NewCalibration, calibration: Guess = None, recorded: From = None, picture: Picture = None, *,
-    no_gait: NoGait = False, rate: options.Rate = None, simulated: SimulatedOptions, reached: Bus,
-    logbook: options.Logbook = None, overwrite: options.Overwrite = False,
+    what: Annotated[str, typer.Argument(
+        metavar="WHAT", help="stiffness, swing, friction, sensors, gait (on a calibration) or all.")],
+    output: Annotated[Path, new_file("File to write.", "a calibration", ".toml")],
+    calibration: Annotated[Path | None, option("Calibration to start from.", "--calibration", metavar="FILE")] = None,
+    recorded: Annotated[list[Path] | None, option(
+        "Fit recorded experiments in place of measuring; repeatable.", "--from", metavar="TRIAL")] = None,
+    picture: Annotated[Path | None, new_file(
+        "Draw the paper's Figs. 9 and 10 (png, svg, pdf).", *options.PICTURE, name="--picture")] = None,
+    *, no_gait: Annotated[bool, option(
+        "Leave out the gait trials that end identify all: the calibration has no discrepancy then.",
+        "--no-gait")] = False,
+    rate: options.Rate = None, simulated: SimulatedOptions, reached: Bus, logbook: options.Logbook = None,
+    overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Measure a bench and write its calibration.
 

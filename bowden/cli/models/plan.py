@@ -22,16 +22,15 @@ with on_first_use():
     from trial.report.words import words
 
 
-Trials = Annotated[list[Path] | None, argument(
-    "TRIAL…", "Trials of one session: a gait, and experiments that were run.")]
-PlanBook = Annotated[Path | None, option(
-    "Logbook: its newest ambiguous verdict; with TRIAL, its reference trials.", metavar="DIR")]
-Model = Annotated[Path | None, option("Bench model with effects, TOML: that bench is simulated.", metavar="FILE")]
-
-
 @app.command("plan", example="bowden plan trial.mcap --healthy good.mcap")
 def plan_experiment(
-    trials: Trials = None, healthy: options.Healthy = None, logbook: PlanBook = None, model: Model = None,
+    trials: Annotated[list[Path] | None, argument(
+        "TRIAL…", "Trials of one session: a gait, and experiments that were run.")] = None,
+    healthy: options.Healthy = None,
+    logbook: Annotated[Path | None, option(
+        "Logbook: its newest ambiguous verdict; with TRIAL, its reference trials.", metavar="DIR")] = None,
+    model: Annotated[Path | None, option(
+        "Bench model with effects, TOML: that bench is simulated.", metavar="FILE")] = None,
     path: options.ForcePath = None,
 ) -> CommandAnswer:
     """Find the shortest experiment that separates the effects of an ambiguity set.
@@ -82,21 +81,18 @@ def _words(found: experiment_plan.ExperimentPlan, good: str) -> Words:
                "trial.")
 
 
-DiscoveredTrials = Annotated[list[Path] | None, argument("TRIAL…", "Trials of one session, MCAP or CSV.")]
-TermsFile = Annotated[Path | None, new_file(
-    "extended.toml with the terms, for --plant-model and --controller-model.", "a law", ".toml")]
-TermPicture = Annotated[Path | None, new_file(
-    "Residual against the variable of each term, PNG, SVG or PDF.", "a picture", ".png", ".svg", ".pdf",
-    name="--picture")]
-Promoted = Annotated[Path | None, new_file(
-    "The terms as effects of your own, TOML, for bowden diagnose --effects.", "an effect", ".toml", name="--promote")]
-
-
 @app.command(example="bowden discover trial.mcap --healthy good.mcap -o extended.toml --picture law.png")
 def discover(
-    trials: DiscoveredTrials = None, healthy: options.Healthy = None, path: options.ForcePath = None,
-    lowpass: options.Lowpass = None, output: TermsFile = None, picture: TermPicture = None,
-    promote: Promoted = None,
+    trials: Annotated[list[Path] | None, argument("TRIAL…", "Trials of one session, MCAP or CSV.")] = None,
+    healthy: options.Healthy = None, path: options.ForcePath = None, lowpass: options.Lowpass = None,
+    output: Annotated[Path | None, new_file(
+        "extended.toml with the terms, for --plant-model and --controller-model.", "a law", ".toml")] = None,
+    picture: Annotated[Path | None, new_file(
+        "Residual against the variable of each term, PNG, SVG or PDF.", "a picture", ".png", ".svg", ".pdf",
+        name="--picture")] = None,
+    promote: Annotated[Path | None, new_file(
+        "The terms as effects of your own, TOML, for bowden diagnose --effects.", "an effect", ".toml",
+        name="--promote")] = None,
 ) -> CommandAnswer:
     """Find terms that extend the model where no effect of the catalogue fits.
 
@@ -134,19 +130,16 @@ def _words_of_law(found: diagnosing.DiscoveryResult, written: list[Path]) -> Wor
     yield from (f"Wrote {path}." for path in written)
 
 
-ReferenceTrials = Annotated[list[Path] | None, option(
-    "Trial of the bench in the reference condition, of bowden trial; repeatable.", metavar="TRIAL")]
-Night = Annotated[Path, option(
-    "Folder for trials, journal, extended.toml and mend.html.", "-o", "--output", metavar="DIR")]
-Hours = Annotated[float, option("Bench time after which no trial begins.", metavar="HOURS", min=0.0)]
-MendCycles = Annotated[int, option("Gait cycles of each trial.", metavar="COUNT", min=4)]
-Resume = Annotated[bool, option("Go on with the journal in the folder.", "--resume")]
-
-
 @app.command(example="bowden mend --reference good.mcap --plant-model bench.toml -o night")
 def mend(
-    output: Night, reference: ReferenceTrials = None, hours: Hours = 1.0, cycles: MendCycles = 10,
-    resume: Resume = False, *, simulated: SimulatedOptions, reached: BusAlone,
+    output: Annotated[Path, option(
+        "Folder for trials, journal, extended.toml and mend.html.", "-o", "--output", metavar="DIR")],
+    reference: Annotated[list[Path] | None, option(
+        "Trial of the bench in the reference condition, of bowden trial; repeatable.", metavar="TRIAL")] = None,
+    hours: Annotated[float, option("Bench time after which no trial begins.", metavar="HOURS", min=0.0)] = 1.0,
+    cycles: Annotated[int, option("Gait cycles of each trial.", metavar="COUNT", min=4)] = 10,
+    resume: Annotated[bool, option("Go on with the journal in the folder.", "--resume")] = False,
+    *, simulated: SimulatedOptions, reached: BusAlone,
 ) -> CommandAnswer:
     """Repair the model of a bench unattended.
 

@@ -80,9 +80,7 @@ def _words_of_contents(found: file_contents.Contents) -> Words:
 
 
 @app.command(example="bowden cut trial.mcap --from 2 --to 6 -o part.mcap")
-def cut(
-    file: Recording, output: NewRecording, from_: From = None, to: To = None, gait: Gait = None,
-) -> CommandAnswer:
+def cut(file: Recording, output: NewRecording, from_: From = None, to: To = None, gait: Gait = None) -> CommandAnswer:
     """Write a part of a recording.
 
     By time or by gait cycles; what explains it is carried along.

@@ -35,31 +35,30 @@ TAKES = {
     "bus --nodes-only": BUS,
 }
 """Options by target of the replay; every other option is refused."""
-Onto = Annotated[str, option("bus, controller or plant.", metavar="WHERE", show_default=False)]
-Speed = Annotated[float, option("bus: speed, recorded time by playing time.", metavar="X")]
-Loop = Annotated[int, option("bus: number of passes.", "--loop", metavar="N")]
-From = Annotated[float, option("bus: begin there, nodes and PDOs restored first.", "--from", metavar="S")]
-To = Annotated[float | None, option("bus: end there.", "--to", metavar="S")]
-Step = Annotated[bool, option("bus: one frame for each line of standard input.", "--step")]
-Node = Annotated[list[int] | None, option(
-    "bus: frames of this node only, 0 for NMT and SYNC; repeatable.", metavar="NODE")]
-CobId = Annotated[list[str] | None, option(
-    "bus: frames with this COB-ID only, such as 0x181; repeatable.", metavar="ID")]
-Direction = Annotated[str | None, option(
-    "bus: rx (received by the recorder), tx (sent by it) or both; tx on the simulated bench.", metavar="WAY")]
-Map = Annotated[list[str] | None, option("bus: recorded channel → channel.", "--map", metavar="N=CHANNEL")]
-NodesOnly = Annotated[bool, option("bus: the nodes' frames, answering a live master.", "--nodes-only")]
-Allowed = Annotated[str | None, option(
-    "controller: import this class, which the trial names.", "--allow-controller", metavar="MODULE:CLASS")]
-Residuals = Annotated[Path | None, new_file("plant: residuals, MCAP.", "residuals", ".mcap")]
 
 
 @app.command(example="bowden replay trial.mcap --onto controller")
 def replay(
-    context: typer.Context, trial: options.Trial, onto: Onto, speed: Speed = 1.0, loop: Loop = 1, from_: From = 0.0,
-    to: To = None, step: Step = False, node: Node = None, cob_id: CobId = None, direction: Direction = None,
-    map_: Map = None, nodes_only: NodesOnly = False, allow_controller: Allowed = None, path: options.ForcePath = None,
-    *, reached: BusAlone, simulated: SimulatedOptions, output: Residuals = None,
+    context: typer.Context, trial: options.Trial,
+    onto: Annotated[str, option("bus, controller or plant.", metavar="WHERE", show_default=False)],
+    speed: Annotated[float, option("bus: speed, recorded time by playing time.", metavar="X")] = 1.0,
+    loop: Annotated[int, option("bus: number of passes.", "--loop", metavar="N")] = 1,
+    from_: Annotated[float, option("bus: begin there, nodes and PDOs restored first.", "--from", metavar="S")] = 0.0,
+    to: Annotated[float | None, option("bus: end there.", "--to", metavar="S")] = None,
+    step: Annotated[bool, option("bus: one frame for each line of standard input.", "--step")] = False,
+    node: Annotated[list[int] | None, option(
+        "bus: frames of this node only, 0 for NMT and SYNC; repeatable.", metavar="NODE")] = None,
+    cob_id: Annotated[list[str] | None, option(
+        "bus: frames with this COB-ID only, such as 0x181; repeatable.", metavar="ID")] = None,
+    direction: Annotated[str | None, option(
+        "bus: rx (received by the recorder), tx (sent by it) or both; tx on the simulated bench.",
+        metavar="WAY")] = None,
+    map_: Annotated[list[str] | None, option("bus: recorded channel → channel.", "--map", metavar="N=CHANNEL")] = None,
+    nodes_only: Annotated[bool, option("bus: the nodes' frames, answering a live master.", "--nodes-only")] = False,
+    allow_controller: Annotated[str | None, option(
+        "controller: import this class, which the trial names.", "--allow-controller", metavar="MODULE:CLASS")] = None,
+    path: options.ForcePath = None, *, reached: BusAlone, simulated: SimulatedOptions,
+    output: Annotated[Path | None, new_file("plant: residuals, MCAP.", "residuals", ".mcap")] = None,
 ) -> CommandAnswer:
     """Replay a recorded trial.
 

@@ -20,26 +20,25 @@ with on_first_use():
     from bowden.sweep import summary, sweep_table
     from bowden.trials import provenance
 
-Grid = Annotated[list[str] | None, option(
-    "Values of an option of bowden trial, or of table.key of bench.toml or of the plant; 1-20 for whole numbers. "
-    "Repeatable.", "--grid", metavar="NAME=V,V…")]
-Draw = Annotated[list[str] | None, option(
-    "A number drawn at random. Repeatable.", "--draw", metavar="NAME=LOW:HIGH[:log]")]
-Draws = Annotated[int, option("Random draws for each point of the grid.", metavar="COUNT")]
-DrawSeed = Annotated[int, option("Seed of the draws.", metavar="NUMBER")]
-Identify = Annotated[bool, option("Identify each bench on its day 0 first.", "--identify")]
-Keep = Annotated[Path | None, option("Keep the recordings there (default: none is kept).", metavar="DIR")]
-Workers_ = Annotated[int | None, option("Processes (default: one a processor).", "--workers", metavar="COUNT")]
-Scheduler = Annotated[str | None, option("Dask scheduler to run on, host:port.", metavar="ADDRESS")]
-Table = Annotated[Path, option("Table, .csv or .parquet; continued.", "-o", "--output", metavar="FILE")]
-
 
 @app.command(example="bowden sweep --grid peak=40,50,60 --grid serial=1-20 --identify --grid day=1 -o table.csv")
 def sweep(
-    output: Table, grid: Grid = None, draw: Draw = None, draws: Draws = 1, draw_seed: DrawSeed = 0,
-    identify: Identify = False, calibration: options.Calibration = None, knee: options.Knee = None,
-    desired: options.Desired = None, config: options.Config = None, keep: Keep = None, workers: Workers_ = None,
-    scheduler: Scheduler = None, overwrite: options.Overwrite = False,
+    output: Annotated[Path, option("Table, .csv or .parquet; continued.", "-o", "--output", metavar="FILE")],
+    grid: Annotated[list[str] | None, option(
+        "Values of an option of bowden trial, or of table.key of bench.toml or of the plant; 1-20 for whole numbers. "
+        "Repeatable.", "--grid", metavar="NAME=V,V…")] = None,
+    draw: Annotated[list[str] | None, option(
+        "A number drawn at random. Repeatable.", "--draw", metavar="NAME=LOW:HIGH[:log]")] = None,
+    draws: Annotated[int, option("Random draws for each point of the grid.", metavar="COUNT")] = 1,
+    draw_seed: Annotated[int, option("Seed of the draws.", metavar="NUMBER")] = 0,
+    identify: Annotated[bool, option("Identify each bench on its day 0 first.", "--identify")] = False,
+    calibration: options.Calibration = None, knee: options.Knee = None, desired: options.Desired = None,
+    config: options.Config = None,
+    keep: Annotated[Path | None, option("Keep the recordings there (default: none is kept).", metavar="DIR")] = None,
+    workers: Annotated[int | None, option(
+        "Processes (default: one a processor).", "--workers", metavar="COUNT")] = None,
+    scheduler: Annotated[str | None, option("Dask scheduler to run on, host:port.", metavar="ADDRESS")] = None,
+    overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Run trials over grids and random draws of any value. One row a trial; a partial table is continued."""
     if draws < 1 or draw_seed < 0 or (workers is not None and workers < 1):

@@ -26,19 +26,19 @@ with on_first_use():
     from bowden.watch import file_watch, watch_process
     from trial import signals
 
-NewTrial = Annotated[Path, options.new_file("File to write.", "a trial", ".mcap")]
-Web = Annotated[str | None, option("Live page with a stop button; port 0: a free one.", metavar="[HOST:]PORT")]
-
 
 @app.command(example="bowden trial --peak 40 --cycles 3 -o trial.mcap")
 def trial(
-    output: NewTrial, walk: WalkOptions, strides: StrideOptions, knee: options.Knee = None,
-    desired: options.Desired = None, calibration: options.Calibration = None,
-    controller_model: options.ControllerModel = None, experiment: options.Script = None,
-    motion_of: options.MotionOf = None, dry_run: options.DryRun = False, homing_n: options.HomingForce = None, *,
-    rate: options.Rate = None, simulated: SimulatedOptions, reached: Bus, monitor: options.SafetyMonitor = None,
-    picture: options.Picture = None, web: Web = None, logbook: options.Logbook = None, label: options.Session = None,
-    watched: WatchOptions, overwrite: options.Overwrite = False,
+    output: Annotated[Path, options.new_file("File to write.", "a trial", ".mcap")],
+    walk: WalkOptions, strides: StrideOptions, knee: options.Knee = None, desired: options.Desired = None,
+    calibration: options.Calibration = None, controller_model: options.ControllerModel = None,
+    experiment: options.Script = None, motion_of: options.MotionOf = None, dry_run: options.DryRun = False,
+    homing_n: options.HomingForce = None, *, rate: options.Rate = None, simulated: SimulatedOptions, reached: Bus,
+    monitor: options.SafetyMonitor = None, picture: options.Picture = None,
+    web: Annotated[str | None, option(
+        "Live page with a stop button; port 0: a free one.", metavar="[HOST:]PORT")] = None,
+    logbook: options.Logbook = None, label: options.Session = None, watched: WatchOptions,
+    overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Run one experiment and record it.
 
@@ -174,16 +174,13 @@ def _tables(result: dict[str, Any], *, dry_run: bool) -> Words:
                f"{figure(walk['off_phase_ms'])} ms")
 
 
-VerifiedModel = Annotated[Path, argument("EXTENDED", "extended.toml of bowden diagnose -o.")]
-VerifiedTrials = Annotated[Path, option(
-    "Trials to write: FILE with -before and -after before its suffix.", "-o", "--output", metavar="FILE")]
-
-
 @app.command(example="bowden verify extended.toml --plant-model bench.toml --cycles 4 -o verify.mcap")
 def verify(
-    model: VerifiedModel, output: VerifiedTrials, walk: WalkOptions, rate: options.Rate = None,
-    calibration: options.Calibration = None, *, simulated: SimulatedOptions, reached: Bus,
-    path: options.ForcePath = None, overwrite: options.Overwrite = False,
+    model: Annotated[Path, argument("EXTENDED", "extended.toml of bowden diagnose -o.")],
+    output: Annotated[Path, option(
+        "Trials to write: FILE with -before and -after before its suffix.", "-o", "--output", metavar="FILE")],
+    walk: WalkOptions, rate: options.Rate = None, calibration: options.Calibration = None, *,
+    simulated: SimulatedOptions, reached: Bus, path: options.ForcePath = None, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Measure what compensation of named effects gains in the control loop.
 
