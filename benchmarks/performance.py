@@ -493,10 +493,24 @@ def memory() -> Iterator[Row]:
                    f"{short:.0f}", f"{short / long:.2f}")
 
 
+def watch() -> Iterator[Row]:
+    """Measure a watch of a trial of 280 s, of which suspected cycles are diagnosed, beside one of 140 s."""
+    with tempfile.TemporaryDirectory() as folder:
+        used(HEALTHY, healthy=f"{folder}/healthy")
+        measured = []
+        for cycles in (70, 140):
+            used(MEMORY["bowden trial"], at=f"{folder}/{cycles}", cycles=cycles)
+            measured.append(used(BOUNDED["bowden watch"], at=f"{folder}/{cycles}", healthy=f"{folder}/healthy"))
+    for what, short, long in zip(("`bowden watch`, a trial of 280 s, s of CPU",
+                                  "peak memory of `bowden watch`, a trial of 280 s at 1 kHz, MB"),
+                                 *measured, strict=True):
+        yield what, f"{long:.0f}", "one of 140 s", f"{short:.0f}", f"{short / long:.2f}"
+
+
 ROWS: dict[str, Callable[[], Iterator[Row]]] = {
     "cycle": whole_cycle, "nodes": by_nodes, "pdo": pdos, "load": wire_load, "record": record, "read": read,
     "size": size, "plant": plant, "diagnosis": diagnosis, "discovery": discovery,
-    "start": start, "memory": memory,
+    "start": start, "memory": memory, "watch": watch,
 }
 
 

@@ -67,7 +67,6 @@ def test_a_torn_recording_is_said_not_to_grow(place: Path, bowden: Callable[...,
 
 
 @pytest.mark.exhaustive
-@pytest.mark.xfail(strict=True, reason="dated to the fourth cycle since decision 50; it acts from the first")
 def test_the_diagnosis_after_the_last_cycle_is_that_of_the_file(place: Path, bowden: Callable[..., Any]) -> None:
     status, found = watched(bowden, place, "whole.mcap")
     assert status == 0
