@@ -15,13 +15,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if hidden is not None:
         print(f"bowden: {hidden}", file=sys.stderr)
         raise SystemExit(2)
-    from bowden.cli.app import main as run
+    from bowden.cli.app import run
 
     if arguments is None:
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # a console of cp1252 has no σ
     try:
-        run(arguments)
+        sys.exit(run(sys.argv[1:] if arguments is None else arguments))
     finally:
         if arguments is None:
             gc.freeze()  # the process ends: to look for garbage among its imports takes 0.3 s of CPU

@@ -102,15 +102,6 @@ class CommandGroup(typer.Typer):
         return registered
 
 
-def found(words: Sequence[str]) -> tuple[Any, bool]:
-    """Return the command that the first of `words` name, and whether they name nothing else."""
-    command = whole()
-    left = list(words)
-    while left and left[0] in getattr(command, "commands", {}):
-        command = command.commands[left.pop(0)]
-    return command, not left
-
-
 def short_help(command: Any, path: str, needed: str = "") -> str:
     """Return the short help: purpose of a command, its needs (`needed` in addition to required options) and one
     example."""
@@ -152,9 +143,9 @@ app = CommandGroup(
 
 
 MODULES = (
-    "trials.trial", "trials.replay", "trials.sweep", "trials.recordings", "models.identify",
-    "models.diagnose", "models.plan", "models.logbook", "bench.setup", "bench.bench",
-    "bench.monitor", "bench.watch", "bench.node", "bench.node_serve", "bench.lss",
+    "trials.trial", "trials.replay", "trials.sweep", "trials.recordings", "models.identify", "models.diagnose",
+    "models.plan", "models.logbook", "bench.setup", "bench.bench", "bench.monitor", "bench.watch", "bench.node",
+    "bench.node_serve", "bench.lss",
 )
 """Modules of the commands; importing one registers its commands on `app`."""
 
@@ -185,11 +176,6 @@ def _options(
 
 _REMARKED: Final[set[str]] = set()
 """Remarks of this process: a file that two readers read is remarked on once."""
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one command line and end the process with its exit status."""
-    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -234,8 +220,10 @@ def _short_help(arguments: Sequence[str], error: Exception) -> int:
     """Print the short help of a command given without its arguments, and return 2; return 0 in any other case."""
     if isinstance(error, InputError) and not isinstance(error, NothingGivenError):
         return 0
-    command, alone = found(arguments)
-    if not alone:
+    command, left = whole(), list(arguments)
+    while left and left[0] in getattr(command, "commands", {}):
+        command = command.commands[left.pop(0)]
+    if left:
         return 0
     print(short_help(command, f"bowden {' '.join(arguments)}", getattr(error, "needs", "")), file=sys.stderr)
     return 2

@@ -137,14 +137,6 @@ Knee = Annotated[Path | None, _file("Knee motion, CSV of time_s, knee_angle_rad 
 Desired = Annotated[Path | None, _file(
     "Desired force, CSV of time_s or gait_percent and desired_force_n, or by knee_angle_deg, too; or module:function.")]
 Calibration = Annotated[Path | None, _file("Bench model to work from (default: the packaged nominal one).")]
-Script = Annotated[str | None, option(
-    f"Experiment in place of the gait, to separate effects: {', '.join(SCRIPTED)}; or repeat, with --motion-of.",
-    "--experiment", metavar="NAME", autocompletion=experiments)]
-MotionOf = Annotated[Path | None, _file(
-    "Repeat the rope and knee motion of this recorded trial, with its gait and settings (--experiment repeat).",
-    "--motion-of")]
-ControllerModel = Annotated[Path | None, _file("Bench model whose effects the controller compensates.")]
-DryRun = Annotated[bool, option("Everything on the bus, drives never enabled.", "--dry-run")]
 
 SafetyMonitor = Annotated[str | None, option(
     "Safety monitor with the bounds in this file, or packaged (default: [monitor]).", metavar="FILE")]
@@ -157,8 +149,6 @@ AnyInterface = Annotated[str, option(
 Seconds = Annotated[float | None, option("End after so many seconds.", "--for", metavar="S")]
 Lowpass = Annotated[float | None, option("Zero-phase low-pass on every signal.", metavar="HZ")]
 Trial = Annotated[Path, argument("TRIAL", "A recorded trial.")]
-RaiseLimits = Annotated[str | None, option(
-    "Run with limits above the packaged ones; the trial records the reason.", "--raise-limits", metavar="REASON")]
 HomingForce = Annotated[float | None, option(
     "START tension that homing may reach whatever the peak is (default 12).", "--homing-n", metavar="N")]
 Extra = Annotated[list[str] | None, option("Interface option; repeatable.", "--option", metavar="K=V")]
@@ -269,7 +259,8 @@ class Bus(NamedTuple):
     channel: Channel = None
     bitrate: Bitrate = None
     option: Extra = None
-    raise_limits: RaiseLimits = None
+    raise_limits: Annotated[str | None, option(
+        "Run with limits above the packaged ones; the trial records the reason.", metavar="REASON")] = None
     config: Config = None
 
     def sections(self, rate: int | None = None) -> dict[str, Any]:

@@ -13,12 +13,13 @@ from typing import Any, NamedTuple
 class AnswerTable(NamedTuple):
     """A table; the first column is text, the others are figures.
 
-    A number has two decimal places, a whole number none, an undefined one is a dash.
+    `form` is the format of a number; a whole number is shown as it is, an undefined one as a dash.
     """
 
     title: str
     header: Sequence[str]
     rows: Iterable[Sequence[str | float | None]]
+    form: str = ".2f"
 
 
 class Paragraph(NamedTuple):
@@ -107,7 +108,7 @@ def _draw(table: AnswerTable) -> None:
     from rich.text import Text
 
     drawn = Table()
-    rows = [[cell if isinstance(cell, str) else number(cell, 0 if isinstance(cell, int) else 2) for cell in row]
+    rows = [[str(cell) if isinstance(cell, str | int) else number(cell, table.form) for cell in row]
             for row in table.rows]
     words = [word for cell in (table.header[0], *(row[0] for row in rows)) for word in cell.split()]
     narrowest = min(max(map(len, words), default=1), WIDTH // 2)  # no name of the first column is cut in two
@@ -135,9 +136,9 @@ def size(count: int) -> str:
     return f"{count / 1e6:.1f} MB" if count >= 1e6 else f"{count / 1e3:.0f} kB"
 
 
-def number(value: float | None, digits: int = 2) -> str:
+def number(value: float | None, form: str = ".2f") -> str:
     """Format a figure; an undefined one is a dash."""
-    return "–" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
+    return "–" if value is None or not math.isfinite(value) else format(value, form)
 
 
 class Terminal:

@@ -98,9 +98,8 @@ def monitor_bounds(
 def _words_of_bounds(output: Path, found: list[bench_bounds.BenchBound]) -> Words:
     margin, ranges = bench_bounds.BENCH_MARGIN, persons.RANGES
     yield AnswerTable("bounds of the bench", ("bound", "unit", "largest", f"× {margin}", "before", "now"), [
-        (bench_bounds.NAMES[bound.key], ranges[bound.key][0],
-         *(f"{value:.3g}" for value in (bound.largest, margin * bound.largest, bound.before, bound.after)))
-        for bound in found])
+        (bench_bounds.NAMES[bound.key], ranges[bound.key][0], bound.largest, margin * bound.largest, bound.before,
+         bound.after) for bound in found], ".3g")
     raised = [f"{bound.key} {bound.before:g} to {bound.after:g} {ranges[bound.key][0]}"
               for bound in found if bound.after > bound.before]
     yield f"{output}: " + (f"larger now: {'; '.join(raised)}." if raised else "no bound had to be larger.")

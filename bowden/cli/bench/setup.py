@@ -93,11 +93,11 @@ def check_config(file: Annotated[Path, argument("FILE", "bench.toml.")]) -> Comm
             f"{found.inputs_ns / 1e3:.0f} µs, due at {found.deadline_ns / 1e3:.0f} µs",
             ("stream", "COB-ID", "bits", "period (µs)", "worst response (µs)"), [
                 (stream.name, f"{stream.can_id:03X}h", stream.bits(), f"{stream.period_ns / 1e3:.0f}",
-                 terminal.number(None if response is None else response / 1e3, 0))
+                 terminal.number(None if response is None else response / 1e3, ".0f"))
                 for stream, response in found.responses]),
         AnswerTable(f"{file}: limits of each force path", ("limit", *of_paths), [
-            (f"{name} ({unit})" if unit else name, *(f"{getattr(found, name):g}" for found in of_paths.values()))
-            for name, unit in _numbers(limits)]),
+            (f"{name} ({unit})" if unit else name, *(getattr(found, name) for found in of_paths.values()))
+            for name, unit in _numbers(limits)], "g"),
         AnswerTable(f"{file}: safety functions", limit_holders.COLUMNS, [row.cells for row in held]),
         *(f"{file}: nobody holds {text}; {reason}" for text in nobody),
         f"{file}: rate_hz = {network.rate_hz} is beyond the goal; "
@@ -317,8 +317,7 @@ class _Bench:
                   "stop_reason": outcome.reason, "missed_cycles": outcome.missed_cycles, **found}
 
         return CommandAnswer(result, [
-            *([AnswerTable(what, ("figure", "value"), [
-                (name, terminal.number(value, 4)) for name, value in found.items()])] if found else []),
+            *([AnswerTable(what, ("figure", "value"), list(found.items()), ".4f")] if found else []),
             f"{what}, {self.chosen.in_words}: {result['outcome']}"
             + (f": {outcome.reason}" if outcome.reason else "."),
         ], ending.status_of(outcome.reason))

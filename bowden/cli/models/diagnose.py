@@ -154,13 +154,12 @@ def _words(found: Findings, path: str | None) -> Words:
 
 def _words_of_signals(signals: dict[str, Any]) -> Words:
     """Yield the error of each signal, RMS; names are never cut at 80 columns."""
-    figure = terminal.number
     if not signals:
         return
     yield AnswerTable("what is left of each signal (RMS, on cycles that the fit has not seen)", (
         "signal", "unit", "floor", "reference", "session", "named", "gain (%)"), [
-        (name, row["unit"], *(figure(row[key], 4) for key in ("floor", "rmse_before", "rmse_session", "rmse_after")),
-         figure(row["gain_percent"], 1)) for name, row in signals.items()])
+        (name, row["unit"], *(row[key] for key in ("floor", "rmse_before", "rmse_session", "rmse_after")),
+         terminal.number(row["gain_percent"], ".1f")) for name, row in signals.items()], ".4f")
     yield Paragraph(
         "floor: what reference trials miss of each other; reference: the reference condition's model; session: with "
         "this session's constants adapted; named: with the named effects, too; gain: of named over session.")
@@ -168,8 +167,8 @@ def _words_of_signals(signals: dict[str, Any]) -> Words:
     if held:
         yield AnswerTable("on the trials held out, to which nothing was fitted", (
             "signal", "unit", "reference", "session", "named"), [
-            (name, row["unit"], *(figure(row[f"holdout_{which}"], 4) for which in ("before", "session", "after")))
-            for name, row in held.items()])
+            (name, row["unit"], *(row[f"holdout_{which}"] for which in ("before", "session", "after")))
+            for name, row in held.items()], ".4f")
 
 
 def _parameters(parameters: dict[str, Any]) -> str:
@@ -194,4 +193,4 @@ def _words_of_plan(name: str, found: Plan) -> Words:
     if found.blind:
         yield Paragraph(f"Not seen by any signal: {', '.join(found.blind)}.")
     yield AnswerTable("signals", ("signal", "unit", "floor"), [
-        (name, row["unit"], f"{row['floor']:.3g}") for name, row in found.signals.items()])
+        (name, row["unit"], row["floor"]) for name, row in found.signals.items()], ".3g")

@@ -65,8 +65,8 @@ def _words_of_fit(output: Path, found: bench_fit.FittedBench) -> Words:
         yield from _words_of_scalars("calibration", found.model.calibration)
     yield AnswerTable(f"constants{' of the simulation' * (found.rig is None)}", (
         "constant", "value", "95 % interval", "unit"), [
-        (name, f"{c.value:.4g}", f"{c.low:.4g} … {c.high:.4g}", c.unit)
-        for name, c in found.constants.items() if c.determined])
+        (name, c.value, f"{c.low:.4g} … {c.high:.4g}", c.unit)
+        for name, c in found.constants.items() if c.determined], ".4g")
     unseen = "on the last part of each trial, which the fit had not seen"
     if found.rig is not None:
         yield f"A rig of another kind than the bench; terms found: {', '.join(found.rig) or 'none'}."
@@ -76,7 +76,7 @@ def _words_of_fit(output: Path, found: bench_fit.FittedBench) -> Words:
     else:
         yield f"Not determined by these trials: {', '.join(found.undetermined)}."
         yield AnswerTable(f"measured less simulated, {unseen}", ("signal", "RMS (N)", "peak (N)"), [
-            (name, row["rms_n"], terminal.number(row["peak_n"], 1)) for name, row in found.figures.items()])
+            (name, row["rms_n"], terminal.number(row["peak_n"], ".1f")) for name, row in found.figures.items()])
     yield from (f"Warning: {warning}" for warning in found.warnings)
     yield f"Model: {output}"
 
@@ -121,7 +121,7 @@ def _words_of_simulation(result: dict[str, Any], figures: dict[str, Any]) -> Wor
     for name, row in figures.items():
         yield AnswerTable(
             f"{name}: measured less simulated, RMS {terminal.number(row['rms_n'])} N, peak "
-            f"{terminal.number(row['peak_n'], 1)} N", ("class", "samples", "RMS (N)", "mean (N)"), [
+            f"{terminal.number(row['peak_n'], '.1f')} N", ("class", "samples", "RMS (N)", "mean (N)"), [
                 (one["class"], one["samples"], one["rms_n"], one["mean_n"])
                 for part in ("by_phase", "by_load", "by_direction") for one in row.get(part, ())])
     if not figures:
@@ -214,9 +214,8 @@ def _scalars_json(found: Calibration | None) -> dict[str, Any]:
 def _words_of_scalars(title: str, found: Calibration) -> Words:
     """Yield the scalars with their 95 % intervals, and the discrepancy."""
     yield AnswerTable(title, ("scalar", "unit", "value", "95 % low", "high", "R²"), [
-        (name, row["unit"] or "1", f"{row['value']:.4g}",
-         *("–" if row[key] != row[key] else f"{row[key]:.4g}" for key in ("low", "high", "r_squared")))
-        for name, row in _scalar_rows(found).items()])
+        (name, row["unit"] or "1", *(row[key] for key in ("value", "low", "high", "r_squared")))
+        for name, row in _scalar_rows(found).items()], ".4g")
     if found.discrepancy is not None:
         yield (f"Discrepancy START → END in the gait trials: {100.0 * found.discrepancy.prior:.1f} % of END, its model "
                f"leaves {100.0 * found.discrepancy.residual:.1f} %.")

@@ -64,8 +64,8 @@ def _words(found: experiment_plan.ExperimentPlan, good: str) -> Words:
         yield f"Run already, and did not decide: {', '.join(found.tried)}."
     yield AnswerTable("experiments that the bench runs by itself", (
         "experiment", "s", "decides (%)", "with its reference (%)", "least nats"), [
-        (one.name, *(terminal.number(value, 0) for value in (
-            one.seconds, 100.0 * one.sure, 100.0 * one.with_reference, one.nats))) for one in found.experiments])
+        (one.name, one.seconds, 100.0 * one.sure, 100.0 * one.with_reference, one.nats)
+        for one in found.experiments], ".0f")
     proposed = found.proposed
     if proposed is None:
         yield "None of them is likely to decide."
@@ -125,8 +125,7 @@ def _words_of_law(found: diagnosing.DiscoveryResult, written: list[Path]) -> Wor
     yield from map(Paragraph, law_sentences(found.laws))
     yield AnswerTable("RMS error on cycles that no fit has seen", (
         "signal", "unit", "reference", "session", "law"), [
-        (name, f.unit, *(terminal.number(value, 4) for value in (f.rmse_before, f.rmse_session, f.rmse_after)))
-        for name, f in found.errors.items()])
+        (name, f.unit, f.rmse_before, f.rmse_session, f.rmse_after) for name, f in found.errors.items()], ".4f")
     yield from (f"Wrote {path}." for path in written)
 
 

@@ -64,12 +64,11 @@ def _words_of_contents(found: file_contents.Contents) -> Words:
     yield from (f"  {remark}" for remark in found.remarks)
     if found.streams:
         yield AnswerTable("streams", ("stream", "kind", "count", "rate (Hz)", "gaps", "longest gap (s)"), [
-            (one.name, one.kind, one.messages, one.rate_hz, one.gaps, terminal.number(one.longest_gap_s, 4))
+            (one.name, one.kind, one.messages, one.rate_hz, one.gaps, terminal.number(one.longest_gap_s, ".4f"))
             for one in found.streams])
     if found.columns:
         yield AnswerTable("columns", ("column", "unit", "least", "greatest", "unknown"), [
-            (one.name, one.unit, *("–" if value is None else f"{value:.6g}" for value in (one.least, one.greatest)),
-             one.unknown) for one in found.columns])
+            (one.name, one.unit, one.least, one.greatest, one.unknown) for one in found.columns], ".6g")
     yield from (f"  {name}: {value}" for name, value in words.shown(found.about).items())
     yield from (f"  {name.replace('_', ' ')}: {count}" for name, count in found.counts.items() if count)
     if found.attachments:
@@ -209,7 +208,7 @@ def _guess(source: Path, output: Path, sheet_name: str) -> CommandAnswer:
         for one in found}, "not_assigned": {one.column: one.why for one in others}}, chain(
         [f"{source}: read with {', '.join(sheet.remarks)}." if sheet.remarks else "",
          AnswerTable(f"Map: {output}; check it, it is a guess", ("signal", "column", "unit", "scale"), [
-             (one.signal, one.column, one.unit, f"{one.scale:g}") for one in found])],
+             (one.signal, one.column, one.unit, one.scale) for one in found], "g")],
         (f"Check {one.signal}: {one.column!r} {one.question}" for one in found if one.question),
         [f"No column looks like time, which a trial needs: add [time_s] and its column to {output}."
          if "time_s" not in {one.signal for one in found} else ""],
@@ -357,5 +356,4 @@ def _words_of_everything(found: comparing.TrialComparison) -> Words:
             for key, row in rows])
     if found.signals:
         yield AnswerTable(f"signals, A − B, matched {found.matched}", ("signal", "unit", "RMS", "mean", "largest"), [
-            (row.name, row.unit, *(f"{value:.3g}" for value in (row.rms, row.mean, row.largest)))
-            for row in found.signals])
+            (row.name, row.unit, row.rms, row.mean, row.largest) for row in found.signals], ".3g")

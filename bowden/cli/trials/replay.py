@@ -144,9 +144,8 @@ def _plant(recorded: Trial, chosen: buses.BusSettings, output: Path | None) -> C
         f"{len(found.time_ns)} control cycles, recorded − simulated:"
         f" {'the same, bit for bit.' if found.same else 'they differ.'}",
         AnswerTable("residuals", ("signal", "unit", "rows", "RMS", "in the gait", "largest", "at (s)"), [
-            (name, row.unit, row.differing + row.one_sided, *(
-                f"{value:.3g}" for value in (row.rms, row.gait_rms, row.largest, row.largest_at_s)))
-            for name, row in found.figures.items()]),
+            (name, row.unit, row.differing + row.one_sided, row.rms, row.gait_rms, row.largest, row.largest_at_s)
+            for name, row in found.figures.items()], ".3g"),
         f"Residuals: {output}" if output else ""], 0 if found.same else 1)
 
 
@@ -197,7 +196,7 @@ def _played(recorded: Trial, played: onto_bus.PlaybackResult) -> CommandAnswer:
         f"{played.frames} frames in {played.passes} passes, {played.lost} not taken by the bus; "
         f"{played.restored} restored what was before.",
         AnswerTable("lateness", ("figure", "µs"), [
-            (name, terminal.number(result[f"lateness_{name}_us"], 1)) for name in ("median", "p99", "max")])],
+            (name, result[f"lateness_{name}_us"]) for name in ("median", "p99", "max")], ".1f")],
         1 if played.lost else 0)
 
 

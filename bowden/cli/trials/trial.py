@@ -15,6 +15,7 @@ from bowden.cli.options import Bus, SimulatedOptions, StrideOptions, WalkOptions
 from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 from parameters import InputError
+from physics.effects.separating_experiments import SCRIPTED
 
 with on_first_use():
     from bowden.bench import light_imports
@@ -31,8 +32,16 @@ with on_first_use():
 def trial(
     output: Annotated[Path, options.new_file("File to write.", "a trial", ".mcap")],
     walk: WalkOptions, strides: StrideOptions, knee: options.Knee = None, desired: options.Desired = None,
-    calibration: options.Calibration = None, controller_model: options.ControllerModel = None,
-    experiment: options.Script = None, motion_of: options.MotionOf = None, dry_run: options.DryRun = False,
+    calibration: options.Calibration = None,
+    controller_model: Annotated[Path | None, option(
+        "Bench model whose effects the controller compensates.", metavar="FILE")] = None,
+    experiment: Annotated[str | None, option(
+        f"Experiment in place of the gait, to separate effects: {', '.join(SCRIPTED)}; or repeat, with --motion-of.",
+        metavar="NAME", autocompletion=options.experiments)] = None,
+    motion_of: Annotated[Path | None, option(
+        "Repeat the rope and knee motion of this recorded trial, with its gait and settings (--experiment repeat).",
+        metavar="FILE")] = None,
+    dry_run: Annotated[bool, option("Everything on the bus, drives never enabled.", "--dry-run")] = False,
     homing_n: options.HomingForce = None, *, rate: options.Rate = None, simulated: SimulatedOptions, reached: Bus,
     monitor: options.SafetyMonitor = None, picture: options.Picture = None,
     web: Annotated[str | None, option(
@@ -129,7 +138,7 @@ def _words(result: dict[str, Any], picture: Path | None, bus: str, logbook: Path
         ("load, computed bound (%)", result["bus_load_bound_percent"]),
         ("missed cycles", result["missed_cycles"]),
         ("stale inputs", result["stale_inputs"]),
-        ("wall seconds per simulated second", terminal.number(ratio, 3)),
+        ("wall seconds per simulated second", terminal.number(ratio, ".3f")),
     ])
     if result["stop_reason"]:
         yield f"Stopped: {result['stop_reason']}"
@@ -223,6 +232,6 @@ def _words_of_verified(result: dict[str, Any], figures: dict[str, dict[str, Any]
         ("END", "uncompensated", "compensated"), [
             (f"{one.text} ({one.unit})", *(figures[name]["true_" * true + one.name] for name in ("before", "after")))
             for one in signals.FORCE_FIGURES])
-    yield f"Gain in relative RMSE: {terminal.number(result['gain_percent'], 1)} %"
+    yield f"Gain in relative RMSE: {terminal.number(result['gain_percent'], '.1f')} %"
     for name, one in figures.items():
         yield f"Trial {name}: {one['trial']}" + (f", stopped: {one['stop_reason']}" if one["stop_reason"] else "")
