@@ -76,7 +76,6 @@ def check_config(file: Annotated[Path, argument("FILE", "bench.toml.")]) -> Comm
     found = bus_load.refuse(built)
     fits = bus_load.rate_that_fits(built)
     reason = f"reason: {limits.raised}." if limits.raised else "commands ask for --raise-limits REASON."
-
     runs = refused is None and (limits.raised or not (above or nobody))
     return CommandAnswer({
         "refusal": refused, "limits_above_packaged": above, "limits_raised": limits.raised,
@@ -92,9 +91,8 @@ def check_config(file: Annotated[Path, argument("FILE", "bench.toml.")]) -> Comm
             f"{file}: load {found.load_percent:.2f} % (goal {bus_load.LOAD_GOAL_PERCENT:g} %), last input at "
             f"{found.inputs_ns / 1e3:.0f} µs, due at {found.deadline_ns / 1e3:.0f} µs",
             ("stream", "COB-ID", "bits", "period (µs)", "worst response (µs)"), [
-                (stream.name, f"{stream.can_id:03X}h", stream.bits(), f"{stream.period_ns / 1e3:.0f}",
-                 terminal.number(None if response is None else response / 1e3, ".0f"))
-                for stream, response in found.responses]),
+                (stream.name, f"{stream.can_id:03X}h", stream.bits(), stream.period_ns / 1e3,
+                 None if response is None else response / 1e3) for stream, response in found.responses], ".0f"),
         AnswerTable(f"{file}: limits of each force path", ("limit", *of_paths), [
             (f"{name} ({unit})" if unit else name, *(getattr(found, name) for found in of_paths.values()))
             for name, unit in _numbers(limits)], "g"),

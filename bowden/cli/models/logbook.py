@@ -90,8 +90,7 @@ def show_bench(
     with database.open_logbook(folder) as book:
         if trial is not None:
             return _of_trial(book, trial)
-        with terminal.fitting("diagnosing a change"):
-            state = logbook_entries.diagnosed_state(book, _limits(limit))
+        state = _diagnosed(book, limit)
         models = book.models()
     return CommandAnswer(state.as_json() | {"models": models},
                          _words(state, len(state.courses) if everything else SHOWN))
@@ -102,8 +101,7 @@ def report_bench(folder: Folder, output: options.Page, limit: Limits = None) -> 
     """Write the bench as one offline HTML page, alarms first."""
     output_files.refuse_inputs([output], [folder / database.FILE])
     with database.open_logbook(folder) as book:
-        with terminal.fitting("diagnosing a change"):
-            state = logbook_entries.diagnosed_state(book, _limits(limit))
+        state = _diagnosed(book, limit)
         size = bench_page.write(book, state, output)
     return CommandAnswer({"report": str(output), "bytes": size}, f"{output}: {terminal.size(size)}.")
 
@@ -135,9 +133,12 @@ def note_maintenance(folder: Folder, text: Text, part: Part = None, after: After
                          f"Note {note.id}: {text}. Resets: {', '.join(names) or 'nothing; --part names what is new'}.")
 
 
-def _limits(given: list[str] | None) -> dict[str, float]:
-    return dict(keyed("--limit", given, "NAME=VALUE; write for instance --limit cable=0.3",
-                      lambda name, value: (name, float(value))))
+def _diagnosed(book: Any, given: list[str] | None) -> bench_state.BenchState:
+    """Return the state of the bench with forecasts to the limits NAME=VALUE."""
+    limits = dict(keyed("--limit", given, "NAME=VALUE; write for instance --limit cable=0.3",
+                        lambda name, value: (name, float(value))))
+    with terminal.fitting("diagnosing a change"):
+        return logbook_entries.diagnosed_state(book, limits)
 
 
 def _of_trial(book: Any, number: int) -> CommandAnswer:

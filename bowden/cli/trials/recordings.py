@@ -185,15 +185,14 @@ def import_(
     with terminal.progress(f"importing {source}") as update:
         bench = wire(configuration.read(config, any_shape=True)["network"])
         report = imports.import_file(source, output, mapped=mapped, wire=bench, overwrite=True, progress=update)
-    read_as = f"{source}: read with {', '.join(report.read_as)}."
     table = columns is None and bool(report.left_out) and "rows" in report.counts
     return CommandAnswer({"trial": str(output), **report.as_json()}, [
-        *([read_as] if report.read_as else []), f"Trial: {output}",
+        f"{source}: read with {', '.join(report.read_as)}." if report.read_as else "", f"Trial: {output}",
         *(f"  {name.replace('_', ' ')}: {count}" for name, count in report.counts.items() if count),
         *(f"  left out: {name}" for name in report.left_out),
         *(f"  {place}" for place in report.damage),
         *(f"Check {signal}: it {question}" for signal, question in report.questions.items()),
-        *([f"To use what was left out: bowden import {source} --guess -o map.toml."] if table else [])])
+        f"To use what was left out: bowden import {source} --guess -o map.toml." if table else ""])
 
 
 def _guess(source: Path, output: Path, sheet_name: str) -> CommandAnswer:
@@ -205,16 +204,16 @@ def _guess(source: Path, output: Path, sheet_name: str) -> CommandAnswer:
     columns = [one.column for one in others if one.column in sheet]
     return CommandAnswer({"map": str(output), "read_as": sheet.remarks, "signals": {
         one.signal: {"column": one.column, "unit": one.unit, "scale": one.scale, "question": one.question}
-        for one in found}, "not_assigned": {one.column: one.why for one in others}}, chain(
-        [f"{source}: read with {', '.join(sheet.remarks)}." if sheet.remarks else "",
-         AnswerTable(f"Map: {output}; check it, it is a guess", ("signal", "column", "unit", "scale"), [
-             (one.signal, one.column, one.unit, one.scale) for one in found], "g")],
-        (f"Check {one.signal}: {one.column!r} {one.question}" for one in found if one.question),
-        [f"No column looks like time, which a trial needs: add [time_s] and its column to {output}."
-         if "time_s" not in {one.signal for one in found} else ""],
-        ["Not assigned:"] if others else [], (f"  {one.column!r}: {one.why}" for one in others),
-        [f"To use one of them, add to {output}: [SIGNAL], column = {columns[0]!r} and unit; signals without a column "
-         "are listed there." if columns else ""]))
+        for one in found}, "not_assigned": {one.column: one.why for one in others}}, [
+        f"{source}: read with {', '.join(sheet.remarks)}." if sheet.remarks else "",
+        AnswerTable(f"Map: {output}; check it, it is a guess", ("signal", "column", "unit", "scale"), [
+            (one.signal, one.column, one.unit, one.scale) for one in found], "g"),
+        *(f"Check {one.signal}: {one.column!r} {one.question}" for one in found if one.question),
+        "" if "time_s" in {one.signal for one in found} else
+        f"No column looks like time, which a trial needs: add [time_s] and its column to {output}.",
+        "Not assigned:" if others else "", *(f"  {one.column!r}: {one.why}" for one in others),
+        f"To use one of them, add to {output}: [SIGNAL], column = {columns[0]!r} and unit; signals without a column "
+        "are listed there." if columns else ""])
 
 
 @app.command(example="bowden export trial.mcap -o trial.csv")
@@ -252,7 +251,6 @@ def compare(
         found = comparing.compare(one, other)
         if report is not None:
             compare_page.write(one, other, found, report, overwrite=True)
-
     return CommandAnswer(found.as_json(), chain(
         _figures(one, other), _words_of_everything(found) if everything else _words(found),
         [f"Page: {report}" if report else ""]), 0 if found.same else 1)
@@ -274,7 +272,6 @@ def _rank_controllers(table: Path, other: Path | None, picture: Path | None) -> 
     found = summary.ranked(rows)
     if picture is not None:
         summary.draw_ranking(rows, picture)
-
     number = terminal.number
     return CommandAnswer({"table": str(table), "controllers": [one._asdict() for one in found]}, [
         AnswerTable("controllers, by the median of END's error over their trials", (
