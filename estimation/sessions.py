@@ -4,7 +4,7 @@ With s a session, x_s its departure from the posterior's mean and a the sizes of
 
     e_s = H_s x_s + E_s (a₀ + w_s a + α_s) + ε_s        x_s = b + R_s r + w_s h c + δ_s
     b ~ N(0, population),  δ_s ~ N(0, D),  a₀, a ~ N(0, 1)
-    r: offset of constants that maintenance reset, R_s = 1 after it
+    r: offset of constants that maintenance reset, and a departure like c of all of them; R_s = 1 after it
 
 w_s: 0 before the change; from its first session on 1 (step), or rising to 1 at the newest session (ramp).  a₀ is the
 size of the effect in all sessions: what the model's equations miss in each of them alike is no change.  c ~ N(0, D₀),
@@ -123,24 +123,31 @@ class SessionSequence:
         self.basis = _basis([one.sums.square * unit[:, None] * unit for one in sessions[:max(references, 1)]],
                             self.free, unit.size - columns[-1].at.stop) * unit[:, None]
         self.size = self.basis.shape[1] - columns[-1].at.stop
+        # 1σ of c: the published scatter between sessions
+        self.offset = np.full(self.size, fit.model.session_share)
+        self.offset[:self.free] = np.sqrt(self.published / self.population)
+        self.known = self.size + self._maintained(0).shape[1]
         self.growth = [self._growth(one.growth) for one in sessions]
         self.sums = [self._reduced(one, row) for row, one in enumerate(sessions)]
-        known = self.size + len(self.resets)
-        loose = [known + k for part in columns if not self._followed(part) for k in range(part.at.start, part.at.stop)]
+        loose = [self.known + k for part in columns if not self._followed(part)
+                 for k in range(part.at.start, part.at.stop)]
         # rows of δ_s among those of the sums (b, r, effects)
         self.scattered = np.array([*range(self.size), *loose])
-        # 1σ of c by row of (b, r, effects): the published scatter between sessions
-        self.offset = np.zeros(len(self.sums[0].pull))
-        self.offset[:self.size] = np.sqrt(np.diag(self._deviation(np.diag(self.published))))[:self.size]
 
     def _reduced(self, session: SessionSums, row: int) -> Sums:
         """Return the sums of (b, r, effects) of a session, in units of the population's σ, of the reduced discrepancy.
         """
-        reset = np.zeros((self.basis.shape[1], len(self.resets)))
+        base, effects = self.basis[:, :self.size], self.basis[:, self.size:]
+        basis = np.concatenate([base, base @ self._maintained(row), effects], axis=1)
+        return Sums(basis.T @ session.sums.square @ basis, basis.T @ session.sums.pull)
+
+    def _maintained(self, row: int) -> Array:
+        """Return the columns of r in a session, among those of b."""
+        reset = np.zeros((self.size, len(self.resets)))
         for k, one in enumerate(self.resets):
             reset[one.constant, k] = float(row >= one.before)
-        basis = self.basis @ np.insert(np.eye(self.basis.shape[1]), [self.size] * len(self.resets), reset, axis=1)
-        return Sums(basis.T @ session.sums.square @ basis, basis.T @ session.sums.pull)
+        common = [float(row >= before) * np.diag(self.offset) for before in sorted({one.before for one in self.resets})]
+        return np.concatenate([reset, *common], axis=1)
 
     def _growth(self, growth: Array) -> Array:
         """Return the growth of a session's deviation in the reduced basis."""
@@ -191,11 +198,11 @@ class SessionSequence:
 
     def design(self, part: EffectColumns | None = None, weight: float = 0.0) -> Array:
         """Return the columns of (b, r), and with an effect of (c, a₀, a), among those of a session's sums."""
-        every, known = np.eye(self.offset.size), self.size + len(self.resets)
+        every, known = np.eye(self.sums[0].pull.size), self.known
         if part is None:
             return every[:, :known]
         own = every[:, known + part.at.start:known + part.at.stop]
-        return np.concatenate([every[:, :known], weight * (every * self.offset)[:, :self.size], own, weight * own],
+        return np.concatenate([every[:, :known], weight * every[:, :self.size] * self.offset, own, weight * own],
                               axis=1)
 
     def scatter(self, change: Change | None = None, rounds: int = 12) -> Array:
@@ -284,7 +291,7 @@ class SessionSequence:
 
         `w`: share of the change in each session.
         """
-        base, effects = self.size + len(self.resets), slice(self.size + len(self.resets), None)
+        base, effects = self.known, slice(self.known, None)
         c = slice(0, self.size if h else 0)
         scale = h * self.offset[c]
         always, always_pull = sessions.square.sum(axis=0), sessions.pull.sum(axis=0)
@@ -363,9 +370,7 @@ class SessionSequence:
         """Return how far a further session is from the bench: its constants' departure, that over the scatter, and the
         probability that a session in the reference condition departs as far in all constants together."""
         known, mean = _solved(self._designs(None), self.integrated(covariance))
-        last = np.eye(self.size, mean.size)
-        for k, one in enumerate(self.resets):
-            last[one.constant, self.size + k] = 1.0
+        last = np.concatenate([np.eye(self.size), self._maintained(self.count)], axis=1)
         sums, bench, growth = self._reduced(session, self.count), last @ mean, np.sqrt(self._growth(session.growth))
         deviation = self._deviation(covariance)[:self.size, :self.size]
         prior = last @ known @ last.T + growth[:, None] * deviation * growth
