@@ -185,9 +185,9 @@ def followed(folder: Path, kind: str, serial: int, healthy: int, sessions: int, 
                 logbook_entries.add(book, {record(folder, kind, serial, k, name): str(k)})
                 if name is None or k == last - 1:
                     with open_logbook(book) as opened:
-                        found.append(_outcome(diagnosed_state(opened) if name else state_of(opened)))
+                        found.append(_outcome(diagnosed_state(opened)))
             if found:
-                yield name, max(found, key=lambda one: one.nats)
+                yield name, max(found, key=lambda one: (one.changed, one.nats))
 
 
 def _outcome(state: BenchState) -> Outcome:

@@ -1,14 +1,14 @@
 """Present state of a bench: what changed since when, its constants by session, forecasts, maintenance.
 
-The evidence of all sessions is linear in the constants and dates a change.  Its cause is the verdict of a diagnosis:
-trials of one session since the change against trials of sessions before it.  A caller that can diagnose runs it
-(`bowden.models.logbook_entries`), and the logbook keeps the verdict.
+The evidence of all sessions is linear in the constants: it suspects a change and dates it.  The diagnosis of the
+suspicion names its cause or finds nothing: trials of one session since the change against trials of sessions before it.
+A caller that can diagnose runs it (`bowden.models.logbook_entries`), and the logbook keeps the verdict.
 """
 
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -157,12 +157,16 @@ NEWEST: Final = 60
 """Newest sessions that changes are searched in, besides the reference sessions: bounds the cost of a long logbook."""
 LEAST_REFERENCES: Final = 3
 """Reference sessions before anything is stated: two do not show how far sessions of a bench scatter."""
-ALARM_NATS: Final = math.log(600.0)
-"""Log Bayes factor, averaged over all effects of the catalogue, from which a change is stated.
+SUSPECTED_NATS: Final = math.log(600.0)
+"""Log Bayes factor, averaged over all effects of the catalogue, from which a change is suspected and diagnosed.
 
 At most one bench in 600 without a change reaches it in any session (Ville's inequality) if the model is linear; it is
-not, so that one of ten such benches reached 8.5 nats (`python -m benchmarks.logbook --recorded`).  If it is too small,
-benches without a change alarm; if it is too large, small changes are stated some sessions later."""
+not, so that a suspicion whose diagnosis finds nothing is stated from `ALARM_NATS` on alone."""
+ALARM_NATS: Final = 22.0
+"""Log Bayes factor, averaged likewise, from which a change is stated although its diagnosis finds nothing.
+
+Of 29 benches without a change one reaches 21.6 nats by several of its 20 sessions, the others less.  If it is too
+small, such benches alarm; if it is too large, a change that no diagnosis of one session shows is stated later."""
 SET_SHARE: Final = 0.5
 """Share of the best log Bayes factor from which an effect is in the ambiguity set, as in a single diagnosis."""
 CANNOT, UNCHANGED, CHANGED = "cannot tell yet", "unchanged", "changed"
@@ -210,8 +214,8 @@ class Forecast(NamedTuple):
 class BenchState:
     """State of a bench; `sessions`: numbers of the fitted sessions by date; `labels` of all sessions.
 
-    `changes`: evidence of each effect, best first.  `alarms`: ambiguity set of a change, empty without one.  `cause`:
-    diagnosis of the alarm (None: it has none).  `scatter`: 1σ between sessions by constant, in coordinates.
+    `changes`: evidence of each effect, best first.  `suspected`: ambiguity set of a suspected change, empty without
+    one.  `cause`: its diagnosis (None: it has none).  `scatter`: 1σ between sessions by constant, in coordinates.
     """
 
     name: str
@@ -223,10 +227,21 @@ class BenchState:
     counts: Mapping[str, int]
     courses: Mapping[str, ConstantCourse]
     changes: Sequence[DatedChange] = ()
-    alarms: Sequence[DatedChange] = ()
+    suspected: Sequence[DatedChange] = ()
     forecasts: Sequence[Forecast] = ()
     scatter: Mapping[str, float] | None = None
     cause: Cause | None = None
+
+    @property
+    def alarms(self) -> Sequence[DatedChange]:
+        """Return the ambiguity set of the change that is stated, empty without one.
+
+        A diagnosis that finds nothing contradicts a change of one session, and one of several up to `ALARM_NATS`.
+        """
+        if self.cause is None or self.cause.verdict != "none":
+            return self.suspected
+        several = self.suspected[0].since != self.sessions[-1]
+        return self.suspected if several and averaged_nats(self.changes) >= ALARM_NATS else ()
 
     @property
     def verdict(self) -> str:
@@ -262,8 +277,9 @@ class BenchState:
             return [f"Cannot tell yet: {fitted} fitted; a change is stated from "
                     f"{self.needed + 1} on, {self.needed} of them the reference."]
         if self.verdict == UNCHANGED:
-            return [f"No change in {len(self.sessions)} sessions beyond their scatter; the first "
-                    f"{self.needed} are the reference."]
+            unchanged = (f"No change in {len(self.sessions)} sessions beyond their scatter; the first "
+                         f"{self.needed} are the reference.")
+            return [unchanged, *self._contradicted()]
         best, names = self.alarms[0], ", ".join(words(c.effect) for c in self.alarms)
         low, high = (self.labels.get(s) for s in (best.since_low, best.since_high))
         when = f"session {self.labels.get(best.since)}" + ("" if low == high else f" (95 %: {low} … {high})")
@@ -278,6 +294,13 @@ class BenchState:
                    "none": f"{of}: no effect is large enough in one session alone"}[cause.verdict]
         return [first, f"Named by the evidence of all sessions ({names}). No diagnosis of one session: "
                        f"{because.rstrip('.')}."]
+
+    def _contradicted(self) -> list[str]:
+        if not self.suspected or self.cause is None:
+            return []
+        since, session = (self.labels.get(n) for n in (self.suspected[0].since, self.cause.session))
+        return [f"A change since session {since} has {self.suspected[0].nats:.0f} nats, but the diagnosis of session "
+                f"{session} finds none. By several sessions {ALARM_NATS:.0f} nats, averaged, would state it."]
 
     def named(self) -> tuple[str, ...]:
         """Return the effects of the change: by the diagnosis if it names one, else by the evidence of all sessions."""
@@ -325,15 +348,17 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
     numbers, sequence = followed
     with threadpool_limits(1, user_api="blas"):
         changes, covariance = sequence.search() if sequence.count > 1 else ([], sequence.scatter())
-        best = changes[0] if changes and averaged_nats(changes) >= ALARM_NATS else None
-        courses = _courses(sequence, covariance, best)
     dated = [_dated(sequence, numbers, change) for change in changes]
-    alarms = [c for c in dated if best is not None and c.nats >= SET_SHARE * best.nats]
-    return BenchState(
-        sessions=numbers, courses=courses, changes=dated, alarms=alarms,
-        forecasts=[_forecast(sequence, best, courses, n, v) for n, v in (limits or {}).items()],
+    suspected = [c for c in dated if averaged_nats(dated) >= SUSPECTED_NATS and c.nats >= SET_SHARE * dated[0].nats]
+    state = BenchState(
+        sessions=numbers, courses={}, changes=dated, suspected=suspected,
         scatter=dict(zip(CONSTANTS, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
-        cause=kept_cause(book, alarms[0], numbers, common["notes"]) if alarms else None, **common)
+        cause=kept_cause(book, suspected[0], numbers, common["notes"]) if suspected else None, **common)
+    best = changes[0] if state.alarms else None
+    with threadpool_limits(1, user_api="blas"):
+        courses = _courses(sequence, covariance, best)
+    return replace(state, courses=courses, forecasts=[
+        _forecast(sequence, best, courses, n, v) for n, v in (limits or {}).items()])
 
 
 def averaged_nats(changes: Sequence[Change | DatedChange]) -> float:

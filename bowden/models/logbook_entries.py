@@ -240,20 +240,20 @@ class ChangeTrials(NamedTuple):
 
 
 def diagnosed_state(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchState:
-    """Return the state of a bench, the cause of an alarm diagnosed from its recorded trials and kept in the logbook.
+    """Return the state of a bench, a suspected change diagnosed from its recorded trials, which the logbook keeps.
 
     A diagnosis takes seconds; it is repeated when the number of sessions since the change has doubled.  If trials are
     not at hand, the kept diagnosis remains, or the reason.  `limits`: as in `state_of`.
     """
     state = state_of(book, limits)
-    if not state.alarms or not outdated(state.cause, state.alarms[0], state.sessions, state.notes):
+    if not state.suspected or not outdated(state.cause, state.suspected[0], state.sessions, state.notes):
         return state
     try:
         found = _diagnosed(book, state)
     except InputError as error:
         return state if state.cause is not None else replace(state, cause=Cause(None, remark=str(error)))
     enter_cause(book, found)
-    return replace(state, cause=found)
+    return state_of(book, limits)
 
 
 def change_trials(book: Logbook) -> ChangeTrials | None:
@@ -267,8 +267,8 @@ def change_trials(book: Logbook) -> ChangeTrials | None:
 
 
 def _diagnosed(book: Logbook, state: BenchState) -> Cause:
-    """Diagnose the newest session since the first alarm; raises `InputError` if trials are missing or unusable."""
-    given = trials_of(book, state.alarms[0], state.sessions, state.notes)
+    """Diagnose the newest session since a suspected change; raises `InputError` if trials are missing or unusable."""
+    given = trials_of(book, state.suspected[0], state.sessions, state.notes)
     before, since = ([book.place(trial.path) for trial in trials] for trials in (given.references, given.trials))
     found = Diagnosis(path=book.path or None, session_sd=state.scatter).fit(before).diagnose(since).found
     named = found.verdict in ("found", "ambiguous")
