@@ -165,7 +165,7 @@ not, so that a suspicion whose diagnosis finds nothing is stated from `ALARM_NAT
 ALARM_NATS: Final = 22.0
 """Log Bayes factor, averaged likewise, from which a change is stated although its diagnosis finds nothing.
 
-Of 29 benches without a change one reaches 21.6 nats by several of its 20 sessions, the others less.  If it is too
+Of 30 benches without a change one reaches 21.6 nats by several of its 20 sessions, the others less.  If it is too
 small, such benches alarm; if it is too large, a change that no diagnosis of one session shows is stated later."""
 SET_SHARE: Final = 0.5
 """Share of the best log Bayes factor from which an effect is in the ambiguity set, as in a single diagnosis."""
