@@ -13,12 +13,19 @@ import pytest
 
 from tests.hidden.family import like
 from tests.plants import draws, imposed
-from tests.plants.bench import replaced
+from tests.plants.bench import Bench, replaced
 
 SESSIONS: Final = 11
 BEGINS: Final = 8
 """First session with the gain, counted from 0: the ninth one."""
 GAIN: Final = 1.05
+
+
+def _recorded(path: Path, bench: Bench, seed: int, motion: imposed.Motion) -> Path:
+    columns = imposed.trial(bench, seed, motion=motion, noise_n=0.1, rate_hz=500).columns
+    np.savetxt(path, np.stack(list(columns.values()), axis=1), fmt="%.8g", delimiter=",", header=",".join(columns),
+               comments="")
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +39,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
         bench = like(own, np.random.default_rng((5, session)))
         if session >= BEGINS:
             bench = replaced(bench, start_gain=GAIN * bench.start_gain)
-        columns = imposed.trial(bench, session, motion=motion, noise_n=0.1, rate_hz=500).columns
-        paths.append(folder / f"s{session}.csv")
-        np.savetxt(paths[-1], np.stack(list(columns.values()), axis=1), fmt="%.8g", delimiter=",",
-                   header=",".join(columns), comments="")
+        paths.append(_recorded(folder / f"s{session}.csv", bench, session, motion))
     return paths
 
 
@@ -66,3 +70,20 @@ def test_a_change_is_named_as_the_diagnosis_names_it_whatever_the_order_of_entry
     assert first.startswith(f"Changed since session day {BEGINS}, as a step: START gain")
     planned = told("plan", "--logbook", "dates")
     assert planned["class"] == alarm["among"]
+
+
+@pytest.mark.exhaustive
+def test_a_suspicion_that_its_diagnosis_contradicts_is_told_and_not_stated(
+        here: Path, bowden: Callable[..., Any]) -> None:
+    # a bench without a change, whose seventh session departs as a dead band would, to the linear evidence
+    own = draws.draw(4, implementation="fronts")
+    motion = imposed.gait(own, 40.0, 1.2, 6)
+    assert bowden("logbook", "init", "book").status == 0
+    for session in range(7):
+        bench = like(own, np.random.default_rng((4, session, 17)))
+        path = _recorded(here / f"{session}.csv", bench, 4000 + session, motion)
+        assert bowden("logbook", "add", "book", path, "--session", session).status == 0
+    shown = json.loads(bowden("logbook", "show", "book", "--json").stdout)
+    assert shown["changes"][0]["nats"] > 12.0
+    assert (shown["verdict"], shown["alarms"]) == ("unchanged", [])
+    assert "but the diagnosis of session 6 finds none" in bowden("logbook", "show", "book").stdout
