@@ -22,6 +22,7 @@ The order in which sessions were entered has no influence.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -163,6 +164,12 @@ class SessionSequence:
         table = self.fit.model.constants
         followed = {table.names[i] for i in table.free}
         return not part.variant.at and {n for d in part.variant.directions for n in d.along} <= followed
+
+    def until(self, row: int) -> "SessionSequence":
+        """Return the sequence of the sessions before `row`."""
+        earlier = copy(self)
+        earlier.sums, earlier.growth, earlier.count = self.sums[:row], self.growth[:row], row
+        return earlier
 
     # -- scatter between sessions ------------------------------------------------------------------------------------
 

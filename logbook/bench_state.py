@@ -215,7 +215,8 @@ class BenchState:
     """State of a bench; `sessions`: numbers of the fitted sessions by date; `labels` of all sessions.
 
     `changes`: evidence of each effect, best first.  `suspected`: ambiguity set of a suspected change, empty without
-    one.  `cause`: its diagnosis (None: it has none).  `scatter`: 1σ between sessions by constant, in coordinates.
+    one.  `cause`: its diagnosis (None: it has none).  `scatter`: 1σ between sessions by constant, in coordinates; of a
+    suspected change, between those before it.
     """
 
     name: str
@@ -234,12 +235,13 @@ class BenchState:
 
     @property
     def alarms(self) -> Sequence[DatedChange]:
-        """Return the ambiguity set of the change that is stated, empty without one.
+        """Return the ambiguity set of the change that is stated, empty without one; first what the diagnosis names.
 
         A diagnosis that finds nothing contradicts a change of one session, and one of several up to `ALARM_NATS`.
         """
         if self.cause is None or self.cause.verdict != "none":
-            return self.suspected
+            among = () if self.cause is None else self.cause.among
+            return sorted(self.suspected, key=lambda change: change.effect not in among)
         several = self.suspected[0].since != self.sessions[-1]
         return self.suspected if several and averaged_nats(self.changes) >= ALARM_NATS else ()
 
@@ -350,11 +352,14 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
         changes, covariance = sequence.search() if sequence.count > 1 else ([], sequence.scatter())
     dated = [_dated(sequence, numbers, change) for change in changes]
     suspected = [c for c in dated if averaged_nats(dated) >= SUSPECTED_NATS and c.nats >= SET_SHARE * dated[0].nats]
+    # what is suspected does not count as scatter
+    before = covariance if not suspected else sequence.until(
+        min(numbers.index(change.since) for change in suspected)).scatter()
     state = BenchState(
         sessions=numbers, courses={}, changes=dated, suspected=suspected,
-        scatter=dict(zip(CONSTANTS, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
+        scatter=dict(zip(CONSTANTS, np.sqrt(np.diag(before)).tolist(), strict=True)),
         cause=kept_cause(book, suspected[0], numbers, common["notes"]) if suspected else None, **common)
-    best = changes[0] if state.alarms else None
+    best = next((c for c in changes if state.alarms and c.effect == state.alarms[0].effect), None)
     with threadpool_limits(1, user_api="blas"):
         courses = _courses(sequence, covariance, best)
     return replace(state, courses=courses, forecasts=[
