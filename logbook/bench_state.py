@@ -351,10 +351,12 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
     with threadpool_limits(1, user_api="blas"):
         changes, covariance = sequence.search() if sequence.count > 1 else ([], sequence.scatter())
     dated = [_dated(sequence, numbers, change) for change in changes]
-    suspected = [c for c in dated if averaged_nats(dated) >= SUSPECTED_NATS and c.nats >= SET_SHARE * dated[0].nats]
-    # what is suspected does not count as scatter
-    before = covariance if not suspected else sequence.until(
-        min(numbers.index(change.since) for change in suspected)).scatter()
+    suspected = _set_of(dated) if dated and averaged_nats(dated) >= SUSPECTED_NATS else []
+    if suspected:  # it does not count as scatter
+        with threadpool_limits(1, user_api="blas"):
+            before = sequence.until(min(numbers.index(change.since) for change in suspected)).scatter()
+    else:
+        before = covariance
     state = BenchState(
         sessions=numbers, courses={}, changes=dated, suspected=suspected,
         scatter=dict(zip(CONSTANTS, np.sqrt(np.diag(before)).tolist(), strict=True)),
@@ -364,6 +366,13 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
         courses = _courses(sequence, covariance, best)
     return replace(state, courses=courses, forecasts=[
         _forecast(sequence, best, courses, n, v) for n, v in (limits or {}).items()])
+
+
+def _set_of(changes: Sequence[DatedChange]) -> list[DatedChange]:
+    """Return the effects that are as likely as the best one, by what each has beyond a common departure alone."""
+    # every effect may stand beside that departure, so that it has the least log Bayes factor of all
+    least = max(0.0, changes[-1].nats)
+    return [change for change in changes if change.nats - least >= SET_SHARE * (changes[0].nats - least)]
 
 
 def averaged_nats(changes: Sequence[Change | DatedChange]) -> float:
