@@ -78,7 +78,8 @@ class _IntegratedSessions:
 
 
 class _Information(NamedTuple):
-    """Information about (a₀, a) of all effects and its pull; `nats`: log evidence of what is integrated out."""
+    """Information about (a₀, a) of all effects and its pull; `nats`: log evidence after (b, r, c) are integrated out.
+    """
 
     nats: float
     square: Array
@@ -108,8 +109,8 @@ class SessionSequence:
         """Store the sessions; `scatter_sessions`: weight of the published variance of a constant, in sessions.
 
         If it is too small, an enlarged scatter explains a change; if it is too large, benches that scatter more than
-        published alarm.  Of 20 benches without a change one reaches 12.5 nats with 60 and none more than 5.9 with 30;
-        with 10, a stiffness of -12 % has 5 nats less than with 30.
+        published alarm.  Of 20 benches without a change, after 14 to 20 sessions, one reaches 12.5 nats with 60 and
+        none more than 5.9 with 30; with 10, a stiffness of -12 % has 5 nats less than with 30.
         """
         self.fit, self.columns, self.resets, self.references = fit, columns, tuple(resets), references
         table = fit.model.constants

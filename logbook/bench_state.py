@@ -235,7 +235,7 @@ class BenchState:
 
     @property
     def alarms(self) -> Sequence[DatedChange]:
-        """Return the ambiguity set of the change that is stated, empty without one; first what the diagnosis names.
+        """Return the ambiguity set of the change that is stated, with the effects of its diagnosis first; or nothing.
 
         A diagnosis that finds nothing contradicts a change of one session, and one of several up to `ALARM_NATS`.
         """
@@ -350,16 +350,11 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
     numbers, sequence = followed
     with threadpool_limits(1, user_api="blas"):
         changes, covariance = sequence.search() if sequence.count > 1 else ([], sequence.scatter())
-    dated = [_dated(sequence, numbers, change) for change in changes]
-    suspected = _set_of(dated) if dated and averaged_nats(dated) >= SUSPECTED_NATS else []
-    if suspected:  # it does not count as scatter
-        with threadpool_limits(1, user_api="blas"):
-            before = sequence.until(min(numbers.index(change.since) for change in suspected)).scatter()
-    else:
-        before = covariance
+        scatter = _deviations(sequence, changes, covariance)
+    suspected = [_dated(sequence, numbers, change) for change in _suspected(changes)]
     state = BenchState(
-        sessions=numbers, courses={}, changes=dated, suspected=suspected,
-        scatter=dict(zip(CONSTANTS, np.sqrt(np.diag(before)).tolist(), strict=True)),
+        sessions=numbers, courses={}, changes=[_dated(sequence, numbers, change) for change in changes],
+        suspected=suspected, scatter=scatter,
         cause=kept_cause(book, suspected[0], numbers, common["notes"]) if suspected else None, **common)
     best = next((c for c in changes if state.alarms and c.effect == state.alarms[0].effect), None)
     with threadpool_limits(1, user_api="blas"):
@@ -368,11 +363,20 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
         _forecast(sequence, best, courses, n, v) for n, v in (limits or {}).items()])
 
 
-def _set_of(changes: Sequence[DatedChange]) -> list[DatedChange]:
-    """Return the effects that are as likely as the best one, by what each has beyond a common departure alone."""
+def _suspected(changes: Sequence[Change]) -> list[Change]:
+    """Return the effects of a suspected change that are as likely as the best one, beyond a common departure alone."""
+    if not changes or averaged_nats(changes) < SUSPECTED_NATS:
+        return []
     # every effect may stand beside that departure, so that it has the least log Bayes factor of all
     least = max(0.0, changes[-1].nats)
     return [change for change in changes if change.nats - least >= SET_SHARE * (changes[0].nats - least)]
+
+
+def _deviations(sequence: SessionSequence, changes: Sequence[Change], covariance: Array) -> dict[str, float]:
+    """Return 1σ between sessions by constant, in coordinates; of a suspected change, between those before it."""
+    if suspected := _suspected(changes):
+        covariance = sequence.until(min(change.since for change in suspected)).scatter()
+    return dict(zip(CONSTANTS, np.sqrt(np.diag(covariance)).tolist(), strict=True))
 
 
 def averaged_nats(changes: Sequence[Change | DatedChange]) -> float:
@@ -408,8 +412,7 @@ def measured_deviations(book: Logbook) -> dict[str, float] | None:
     if followed is None or followed[1].count < 2:
         return None
     with threadpool_limits(1, user_api="blas"):
-        _, covariance = followed[1].search()
-    return dict(zip(CONSTANTS, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+        return _deviations(followed[1], *followed[1].search())
 
 
 def _before(order: Sequence[int], numbers: Sequence[int], after: int) -> int:
