@@ -66,7 +66,7 @@ WRITTEN: dict[str, tuple[bytes, str]] = {  # what a lab's program wrote, and wha
     "comments": (("# rig 7\n% 40 N\n" + PLAIN + "# end\n").encode(), "3 comment lines"),
     "a title above": (f"Recorder 3.1\nOperator;N. N.\n\n{german(PLAIN)}".encode(),
                       "2 lines before the header in row 4"),
-    "the header again": (repeated(PLAIN).encode(), "the header 1 times again"),
+    "the header again": (repeated(PLAIN).encode(), "the header 1 more time"),
     "a delimiter at the end of rows": (PLAIN.replace("\n", ",\n").encode(), ""),
     "quoted": (PLAIN.replace("time_s", '"time_s"').replace("\n0.01,", '\n"0.01",').encode(), ""),
     "ISO 8601": (iso(PLAIN, lambda k: f"2024-05-01T12:00:00.{k:02}0Z").encode(),

@@ -234,3 +234,99 @@ def test_a_column_without_any_value_is_named(here: Path, bowden: Command) -> Non
     status, out, _ = bowden("import", "lab.csv", "-o", "lab.mcap")
     assert (status, "Check tension_start_n: it has no value in any row" in out) == (0, True), out
     assert "Check tension_end_n" not in out
+
+
+def test_structures_of_another_rate_come_by_their_own_times(here: Path, bowden: Command) -> None:
+    from scipy.io import savemat
+
+    fast = np.arange(4 * ROWS) / 400
+    savemat(here / "lab.mat", {"force": {"t_s": TIME, "start_N": 10 + TIME, "end_N": 5 + TIME},
+                               "motor": {"t_s": TIME[::10], "rope_mm": 20 + TIME[::10]},
+                               "knee": {"t_s": fast, "angle_deg": -fast}, "photo": np.ones((7, 7))})
+    status, out, _ = bowden("import", "lab.mat", "--guess", "-o", "map.toml")
+    assert status == 0
+    assert "'photo(:,1)': 7 values, the table has 1600 rows" in out
+    assert "3 columns of another rate by their own times" in " ".join(out.split())
+    status, out, _ = bowden("import", "lab.mat", "--map", "map.toml", "-o", "lab.mcap")
+    assert status == 0
+    columns = trial.open(here / "lab.mcap").columns
+    known = np.isfinite(columns["servo_position_m"])
+    assert known.sum() == ROWS // 10
+    assert columns["servo_position_m"][known] == pytest.approx(0.02 + 1e-3 * TIME[::10])
+    assert np.isfinite(columns["tension_start_n"]).sum() == ROWS
+    assert columns["knee_angle_rad"] == pytest.approx(-np.radians(fast))
+
+
+def test_vectors_of_signals_outweigh_a_picture(here: Path, bowden: Command) -> None:
+    from scipy.io import savemat
+
+    savemat(here / "lab.mat", {"t": TIME, "force_start": 10 + TIME, "photo": np.ones((7, 7))})
+    assert bowden("import", "lab.mat", "--guess", "-o", "map.toml")[0] == 0
+    assert set(tomllib.loads((here / "map.toml").read_text())) == {"time_s", "tension_start_n"}
+
+
+def test_rows_of_a_workbook_have_the_numbers_that_the_workbook_shows(here: Path, bowden: Command) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["Spring A"])
+    book.active["A4"], book.active["B4"], book.active["C4"] = "time (s)", "start\nforce (N)", "remark"
+    for row in zip(TIME.tolist(), (10 + TIME).tolist(), [None, "wobbles", *[None] * ROWS], strict=False):
+        book.active.append(row)
+    book.save(here / "lab.xlsx")
+    status, out, _ = bowden("import", "lab.xlsx", "--guess", "-o", "map.toml")
+    assert (status, "the header in row 4" in " ".join(out.split())) == (0, True), out
+    assert "'remark': row 6 has no number: 'wobbles'" in out
+    assert tomllib.loads((here / "map.toml").read_text())["tension_start_n"]["column"] == "start force (N)"
+
+
+@pytest.mark.parametrize(("delimiter", "quote", "mark"), [
+    ("\t", "", ","), (",", '"', ","), (",", '"', "."), (";", "", ".")])
+def test_whole_numbers_with_marks_between_thousands_and_quoted_decimal_commas_are_read(
+        here: Path, bowden: Command, delimiter: str, quote: str, mark: str) -> None:
+    def row(time_ms: str, force: str) -> str:
+        return delimiter.join(f"{quote}{cell}{quote}" for cell in (time_ms, force))
+
+    dotted = [(f"{round(1e3 * t):,}", f"{10 + t:.2f}") for t in TIME]
+    swapped = str.maketrans(",.", ".,") if mark == "," else {}
+    (here / "lab.csv").write_text("\n".join([row("time (ms)", "start force (N)"), *(
+        row(*(cell.translate(swapped) for cell in cells)) for cells in dotted)]))
+    status, _, err = bowden("import", "lab.csv", "--guess", "-o", "map.toml")
+    assert (status, err) == (0, "")
+    assert bowden("import", "lab.csv", "--map", "map.toml", "-o", "lab.mcap")[0] == 0
+    read = trial.open(here / "lab.mcap")
+    assert read.time_ns / 1e9 == pytest.approx(TIME)
+    assert read.columns["tension_start_n"] == pytest.approx(10 + TIME)
+
+
+def test_a_position_in_in_is_asked_about(here: Path, bowden: Command) -> None:
+    signals, out = guessed(bowden, "time_s,start_lbf,servo_position_in", TIME, 9 + TIME, 1 + TIME / 40)
+    assert signals == {"time_s", "tension_start_n", "servo_position_m"}
+    assert "Check servo_position_m: 'servo_position_in' has no unit: is it in inches?" in out
+
+
+def test_times_that_rows_share_and_counted_rows_come_with_what_to_do(here: Path, bowden: Command) -> None:
+    rows = [f"{t // 0.02 * 0.02:.2f},{10 + t:.2f}" for t in TIME]
+    (here / "lab.csv").write_text("\n".join(["time_s,tension_start_n", *rows]))
+    _, _, err = bowden("import", "lab.csv", "-o", "lab.mcap")
+    assert "row 3: time_s = 0 stands in the row before too; write times with more digits" in err
+    signals, out = guessed(bowden, "index,tension_start_n", 100 * TIME, 9 + TIME)
+    assert signals == {"tension_start_n"}
+    assert "a column that counts rows will do, with the seconds of a row as its scale" in out
+
+
+def test_channels_of_another_rate_in_a_tdms_file_come_by_their_own_times(here: Path, bowden: Command) -> None:
+    nptdms = pytest.importorskip("nptdms")
+
+    def channel(name: str, values: np.ndarray, step_s: float) -> object:
+        return nptdms.ChannelObject("rig", name, values, {"wf_increment": step_s, "wf_start_offset": 0.0})
+
+    with nptdms.TdmsWriter(here / "lab.tdms") as file:
+        file.write_segment([channel("microphone", np.zeros(8 * ROWS), 0.00125),
+                            channel("tension_start_n", 10 + TIME, 0.01), channel("tension_end_n", 5 + TIME, 0.01),
+                            channel("servo_position_m", 0.1 + TIME[::10], 0.1)])
+    status, out, _ = bowden("import", "lab.tdms", "-o", "lab.mcap")
+    assert (status, "2 columns of another rate by their own times" in " ".join(out.split())) == (0, True)
+    read = trial.open(here / "lab.mcap")
+    assert read.columns["tension_end_n"] == pytest.approx(5 + TIME)
+    known = np.isfinite(read.columns["servo_position_m"])
+    assert read.columns["servo_position_m"][known] == pytest.approx(0.1 + TIME[::10])

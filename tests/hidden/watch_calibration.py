@@ -1,6 +1,6 @@
 """What the watch says of a trial beside its diagnosis, on benches of several methods, and what a cycle costs.
 
-    python -m tests.hidden.watch_calibration [--cases N] [--kept FILE]
+    python -m tests.hidden.watch_calibration [--cases N] [--first SEED] [--kept FILE]
 
 Prints a line for each case: what is hidden, the watch's last suspicion, verdict and ambiguity set of the diagnosis of
 the complete trial, and whether they agree (`Compared.agrees`).  Then the share that agrees, the reference trials that
@@ -43,6 +43,7 @@ from tests.hidden.family_jobs import KINDS, serials
 BENCHES = (*KINDS, "bench", "packaged")
 HIDDEN = ("", "start_gain", "stiffness", "cable_friction", "knee_backlash", "end_drift")
 """"": a trial in the reference condition."""
+FIRST_SEED = 13_000
 CYCLES = 7
 """Gait cycles of a trial: diagnoses after 3, 4 and 6 of them, so that the last suspicion lacks the last cycle."""
 
@@ -91,7 +92,7 @@ class Compared:
                 f"{self.verdict} {', '.join(self.among)}".rstrip() + f"; {'agree' if self.agrees else 'DISAGREE'}")
 
 
-def questions(count: int, first: int = 13_000) -> list[Question]:
+def questions(count: int, first: int = FIRST_SEED) -> list[Question]:
     """Return cases with a seed each from `first` on: each effect on each bench, then again with other seeds."""
     pairs = [(bench, hidden) for hidden in HIDDEN for bench in BENCHES]
     return [Question(*pairs[k % len(pairs)], first + k) for k in range(count)]
@@ -205,10 +206,11 @@ def main(arguments: list[str]) -> None:
     """Compare the cases and print their lines and the shares."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=36)
+    parser.add_argument("--first", type=int, default=FIRST_SEED, metavar="SEED", help="seed of the first case")
     parser.add_argument("--kept", type=Path, metavar="FILE", help="answers, as JSON lines")
     given, found = parser.parse_args(arguments), []
     with threadpool_limits(1, user_api="blas"):
-        for one in answered(questions(given.cases), given.kept):
+        for one in answered(questions(given.cases, given.first), given.kept):
             found.append(one)
             print(one.line(), flush=True)
     print(summary(found))

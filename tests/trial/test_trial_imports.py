@@ -260,7 +260,7 @@ CSV_REFUSED = {
     "a short row": ("time_s,cycle\n0,0\n1\n", "row 3 has 1 cells, the header 2"),
     "a row without time": ("time_s,cycle\n0,0\n,1\n", "row 3 has no time"),
     "time that falls": ("time_s,cycle\n0,0\n1,0\n0.5,1\n", r"row 4: time_s = 0.5 does not rise"),
-    "one time, two values": ("time_s,cycle\n0,0\n1,0\n1,1\n", r"row 4: time_s = 1 does not rise"),
+    "one time, two values": ("time_s,cycle\n0,0\n1,0\n1,1\n", r"row 4: time_s = 1 stands in the row before too"),
     "time in nanoseconds": ("time_s,cycle\n1700000000000000000,0\n1700000000001000000,0\n", "is it in another unit"),
 }
 

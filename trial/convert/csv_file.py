@@ -247,7 +247,7 @@ class _Reading:
             again |= {line.row for line in body if line.row - 1 in again and self._names(line.text) == units[:len(
                 self._names(line.text))]}
         self.counts["repeated_headers"] = sum(line.text == first for line in body)
-        self.remarks.append(f"the header {self.counts['repeated_headers']} times again")
+        self.remarks.append(f"the header {_many(self.counts['repeated_headers'], 'more time')}")
         return [line for line in body if line.row not in again]
 
     def _trimmed(self, names: list[str], units: list[str], body: list[_Line]) -> tuple[list[str], list[str]]:
@@ -264,19 +264,18 @@ class _Reading:
 
     def _read_numbers(self, found: LabTable, body: Sequence[_Line]) -> None:
         """Read every column of the rows into `found`; a row of another length raises `InputError`."""
-        self.comma = self.dialect.decimal == ","
-        if not self.dialect.decimal and self.delimiter != ",":
-            self.comma = any(_COMMA_INSIDE.search(line.text) and any(map(_COMMA_NUMBER.match, self.cells(line.text)))
-                             for line in body)
+        columns = list(zip(*self._rows(body, len(found.names)), strict=True))
+        self.comma = self.dialect.decimal == "," or (not self.dialect.decimal and self._has_decimal_comma(columns))
         self.remarks += ["decimal comma"] if self.comma else []
         absolute, marks = list[str](), "marks between thousands"
-        for place, cells in enumerate(zip(*self._rows(body, len(found.names)), strict=True)):
+        for place, cells in enumerate(columns):
             name = found.names[place]
-            values, fault = _parsed(cells, self.comma)
+            whole = _thousands(cells, "." if self.comma else ",")
+            values, fault = _parsed(whole or cells, self.comma)
             if fault is not None and _THOUSANDS.match(fault[1]):
-                values, fault = _parsed([_THOUSANDS.sub(lambda number: number[0].replace(number[1], ""), cell)
-                                         for cell in cells], self.comma)
-                self.remarks += [marks] if marks not in self.remarks else []
+                whole = [_THOUSANDS.sub(lambda number: number[0].replace(number[1], ""), cell) for cell in cells]
+                values, fault = _parsed(whole, self.comma)
+            self.remarks += [marks] if whole and marks not in self.remarks else []
             timed = None if fault is None else time_column(cells)
             if timed is not None:
                 values, found.begins_ns[name], found.units[place] = timed.seconds, timed.begins_ns, "s"
@@ -285,6 +284,13 @@ class _Reading:
                 found.faults[name] = body[fault[0]].row, fault[1]
             found.values.append(values)
         self.remarks += absolute
+
+    def _has_decimal_comma(self, columns: Sequence[Sequence[str]]) -> bool:
+        """Return whether numbers have a decimal comma; in rows that commas separate, only a quoted cell can."""
+        if not any(_COMMA_INSIDE.search(line.text) and (self.delimiter != "," or '"' in line.text)
+                   for line in self.lines):
+            return False
+        return any(any(map(_COMMA_NUMBER.match, cells)) and not _thousands(cells, ",") for cells in columns)
 
     def _rows(self, body: Sequence[_Line], width: int) -> Iterable[list[str]]:
         for line in body:
@@ -333,6 +339,23 @@ def _plain_share(cells: Sequence[str], delimiter: str) -> float:
 
 _THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}([.,])\d{3}(?:\1\d{3})*(?!\1)[.,]\d+\s*$")
 """Number with marks between its thousands and another decimal mark: 1.234,5 or 1,234.5."""
+
+
+_WHOLE = {mark: re.compile(rf"\s*[+-]?[1-9]\d{{0,2}}(?:\{mark}\d{{3}})+\s*$") for mark in ".,"}
+"""Whole number with marks between its thousands, by the mark."""
+
+
+def _thousands(cells: Sequence[str], mark: str) -> list[str]:
+    """Return whole numbers without the marks between their thousands; [] of a column that is not one of such numbers.
+
+    Numbers below 1000 tell it from one with a decimal mark and three digits behind each.
+    """
+    marked = [cell for cell in cells if mark in cell]
+    if not marked or not all(map(_WHOLE[mark].match, marked)):
+        return []
+    plain = [cell.strip() for cell in cells if mark not in cell and cell.strip().lower() not in UNKNOWN]
+    small = all(cell.lstrip("+-").isdigit() and len(cell.lstrip("+-")) < 4 for cell in plain)
+    return [cell.replace(mark, "") for cell in cells] if plain and small else []
 
 
 def _parsed(cells: Sequence[str], comma: bool) -> tuple[Floats, tuple[int, str] | None]:

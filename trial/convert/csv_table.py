@@ -338,7 +338,8 @@ def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
         return None
     score = 10.0 * (name == signal) + 2 * met + 0.5 * _met(words, wanted.likes) + bool(unit) - 0.1 * len(words)
     chosen, scale, why = _unit(signal, si, unit, known)
-    return Guess(signal, name, chosen, scale, why, score, _question(si, chosen, bool(unit), known))
+    question = "has no unit: is it in inches?" if si == "m" and not unit and name.lower().endswith("_in") else ""
+    return Guess(signal, name, chosen, scale, why, score, question or _question(si, chosen, bool(unit), known))
 
 
 def _question(si: str, unit: str, stated: bool, known: Floats) -> str:

@@ -194,8 +194,9 @@ def _ordered(
     falls = np.flatnonzero(np.diff(seconds[first_of_equal]) <= 0)
     if len(falls):
         row = first_of_equal[falls[0] + 1]
-        raise InputError(f"{source}: row {table.rows[row]}: time_s = {seconds[row]:g} does not rise; "
-                         "sort or cut the file.")
+        raise InputError(f"{source}: row {table.rows[row]}: time_s = {seconds[row]:g} " + (
+            "stands in the row before too; write times with more digits." if seconds[row] == seconds[
+                first_of_equal[falls[0]]] else "does not rise; sort or cut the file."))
     times = np.rint(seconds[first_of_equal] * 1e9).astype(np.int64)
     mended = mend(times, source)
     report.counts["shifted_ns"] = mended.shift_ns

@@ -11,10 +11,10 @@ import datetime
 import importlib
 import io
 import math
+import re
 import struct
 import zipfile
 import zlib
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -124,18 +124,18 @@ def _quoted(names: Iterable[str]) -> str:
 
 
 def _excel_text(sheet: Any) -> str:
-    """Return the rows of a sheet that hold anything as comma-separated text."""
+    """Return the rows of a sheet as comma-separated text, an empty line for a row that holds nothing."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     for row in sheet.iter_rows(values_only=True):
-        if any(cell is not None for cell in row):
-            writer.writerow([_excel_cell(cell) for cell in row])
+        held = any(cell is not None for cell in row)
+        writer.writerow([_excel_cell(cell) for cell in row] if held else [])
     return text.getvalue()
 
 
 def _excel_table(path: Path, text: str) -> LabTable | str:
     """Return the table in a sheet's text, or the reason why it holds none."""
-    if not text:
+    if not text.strip():
         return "empty"
     try:
         table = csv_file.read_text(path, text)
@@ -147,12 +147,13 @@ def _excel_table(path: Path, text: str) -> LabTable | str:
 def _excel_cell(cell: Any) -> str:
     if isinstance(cell, datetime.datetime):
         return cell.isoformat()
-    return "" if cell is None else repr(cell) if isinstance(cell, float) else str(cell)
+    return "" if cell is None else repr(cell) if isinstance(cell, float) else " ".join(str(cell).split())
 
 
 def tdms(path: Path) -> LabTable:
-    """Read the channels of a TDMS file of the commonest length; a waveform's increment gives the time."""
+    """Read the channels of a TDMS file; a waveform's increment gives the time."""
     columns: Arrays = {}
+    clocks: Arrays = {}
     units: dict[str, str] = {}
     for group in library(path, "nptdms", "TDMS", "tdms").TdmsFile.read(path).groups():
         for channel in group.channels():
@@ -161,15 +162,20 @@ def tdms(path: Path) -> LabTable:
             columns[name] = values
             units[name] = str(channel.properties.get("unit_string", "") or "")
             step = float(channel.properties.get("wf_increment", 0.0) or 0.0)
-            if step > 0 and "time_s" not in columns and values.dtype.kind in "fiu":
+            if step > 0 and values.dtype.kind in "fiu":
                 begins_s = float(channel.properties.get("wf_start_offset", 0.0))
-                columns["time_s"] = begins_s + step * np.arange(len(values))
-                units["time_s"] = "s"
-    return _sheet(path, columns, units, ["TDMS"])
+                clocks[name] = begins_s + step * np.arange(len(values))
+    if "time_s" not in columns and clocks:
+        length = _length({name: columns[name] for name in clocks})
+        columns["time_s"], units["time_s"] = max(clocks.values(), key=lambda one: (len(one) == length, len(one))), "s"
+    return _sheet(path, columns, units, ["TDMS"], clocks)
 
 
 def matlab(path: Path) -> LabTable:
-    """Read the vectors of a MATLAB file, those of equal length; of v7.3 ones, which are HDF5, by h5py."""
+    """Read the vectors of a MATLAB file; of v7.3 ones, which are HDF5, by h5py.
+
+    Structures of another rate are read if each has a vector of times, with one name in all.
+    """
     with path.open("rb") as file:
         head = file.read(520)
     hdf = b"MATLAB 7.3" in head[:128] or head[512:516] == b"\x89HDF" or head[:4] == b"\x89HDF"
@@ -178,7 +184,22 @@ def matlab(path: Path) -> LabTable:
         found.get("units"), dict) else {}
     flat: Arrays = {}
     _flatten("", found, flat)
-    return _sheet(path, flat, units, [f"MATLAB v{'7.3' if hdf else '5'}"])
+    return _sheet(path, flat, units, [f"MATLAB v{'7.3' if hdf else '5'}"], _own_times(flat))
+
+
+_TIMES = re.compile(r"(?:t|times?|timestamps?|zeit|clock|seconds|temps|tiempo)(?:_?(?:s|ms|us|sec|seconds))?",
+                    re.IGNORECASE)
+"""Names of vectors that are times of the structure they are in."""
+
+
+def _own_times(flat: Arrays) -> Arrays:
+    """Return the times of each vector that has some beside it, in its structure, of its length."""
+    times = {(name.rpartition(".")[0], len(values)): name for name, values in flat.items()
+             if _TIMES.fullmatch(name.rpartition(".")[2]) and values.dtype.kind in "fiu"}
+    names = {name.rpartition(".")[2] for name in times.values()}
+    beside = {name: times.get((name.rpartition(".")[0], len(values))) for name, values in flat.items()}
+    return {name: flat[clock].astype(np.float64) for name, clock in beside.items() if clock is not None
+            } if len(names) == 1 else {}
 
 
 def _matlab5(path: Path) -> dict[str, Any]:
@@ -260,16 +281,21 @@ def has_can_frames(path: Path) -> bool:
         return False
 
 
-def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], remarks: list[str]) -> LabTable:
-    """Make a sheet of the columns of numbers that have the commonest length; the others are listed as left out."""
+def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], remarks: list[str], clocks: Mapping[str, Any] = {}
+           ) -> LabTable:
+    """Make a sheet of the columns of numbers that have one length; the others are listed as left out.
+
+    `clocks`: times, by column, of those that have some of their own; such columns of another length are placed by them.
+    """
     numbers = {name: values for name, values in columns.items() if values.dtype.kind in "fiub"}
     stamps = {name: values for name, values in columns.items() if values.dtype.kind == "M"}
-    lengths = Counter(len(values) for values in (*numbers.values(), *stamps.values()) if len(values) > 1)
-    if not lengths:
+    length = _length(numbers | stamps)
+    if not length:
         raise InputError(f"{path}: holds no column of numbers; give a table.")
-    length = max(lengths, key=lambda one: (lengths[one], one))
     values: dict[str, Floats] = {}
     begins: dict[str, int] = {}
+    clock = next((clocks[name] for name, column in numbers.items() if len(column) == length and name in clocks), None)
+    placed = 0
     for name, column in (numbers | stamps).items():
         if len(column) == length:
             if name in stamps:
@@ -278,6 +304,12 @@ def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], remarks: list[
                 values[name] = (whole - whole[0]) / 1e9
             else:
                 values[name] = np.ascontiguousarray(column, np.float64)
+        elif (clock is not None and name in clocks and not np.array_equal(column, clocks[name])
+              and _rising(clocks[name]) and _rising(clock)):
+            values[name] = _placed(clocks[name], column.astype(np.float64), clock)
+            placed += 1
+    if placed:
+        remarks.append(f"{placed} column{'' if placed == 1 else 's'} of another rate by their own times")
     reasons = {name: f"{len(column)} value{'' if len(column) == 1 else 's'}, the table has {length} rows"
                if name in numbers | stamps else "no numbers" for name, column in columns.items() if name not in values}
     unread = sum(reason == "no numbers" for reason in reasons.values())
@@ -287,6 +319,32 @@ def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], remarks: list[
     found = LabTable(path, unique(names, csv_file.reserved), list(values.values()), stated, range(1, length + 1),
                      counts=counts, remarks=remarks, header_row=0, left_out=reasons)
     found.begins_ns = {name: begins[full] for name, full in zip(names, values, strict=True) if full in begins}
+    return found
+
+
+def _length(columns: Arrays) -> int:
+    """Return the length of the columns that make the table, 0 without any: most signals' names, then most values.
+
+    A matrix counts as one column, and a single column makes a table only if there are no two.
+    """
+    lengths = {len(values) for values in columns.values() if len(values) > 1}
+    alike = {length: [name for name, values in columns.items() if len(values) == length] for length in lengths}
+    return max(lengths, key=lambda one: (
+        sum(csv_file.reserved(name.rpartition(".")[2]) for name in alike[one]),
+        min(2, len({name.partition("(:,")[0] for name in alike[one]})), one * len(alike[one])), default=0)
+
+
+def _rising(times: Floats) -> bool:
+    return bool((np.diff(times) > 0.0).all())
+
+
+def _placed(times: Floats, values: Floats, clock: Floats) -> Floats:
+    """Return values of other times on a clock: slower ones in the rows nearest to them, faster ones interpolated."""
+    if len(values) > len(clock):
+        return np.interp(clock, times, values, left=np.nan, right=np.nan)
+    inside = (times >= clock[0]) & (times <= clock[-1])
+    found = np.full(len(clock), np.nan)
+    found[np.searchsorted((clock[1:] + clock[:-1]) / 2, times[inside])] = values[inside]
     return found
 
 

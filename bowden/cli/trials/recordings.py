@@ -210,7 +210,8 @@ def _guess(source: Path, output: Path, sheet_name: str) -> CommandAnswer:
             (one.signal, one.column, one.unit, one.scale) for one in found], "g"),
         *(f"Check {one.signal}: {one.column!r} {one.question}" for one in found if one.question),
         "" if "time_s" in {one.signal for one in found} else
-        f"No column looks like time, which a trial needs: add [time_s] and its column to {output}.",
+        f"No column looks like time, which a trial needs: add [time_s] and its column to {output}; "
+        "a column that counts rows will do, with the seconds of a row as its scale.",
         "Not assigned:" if others else "", *(f"  {one.column!r}: {one.why}" for one in others),
         f"To use one of them, add to {output}: [SIGNAL], column = {columns[0]!r} and unit; signals without a column "
         "are listed there." if columns else ""])
