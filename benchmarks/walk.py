@@ -173,6 +173,7 @@ def walk(name: str) -> bool:
 def main() -> int:
     """Run the commands of the named users, or of all."""
     asked = argparse.ArgumentParser(description=__doc__)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # else, begun in the background, commands ignore it
     asked.add_argument("--user", nargs="*", default=list(USERS), choices=list(USERS))
     good = True
     for name in asked.parse_args().user:

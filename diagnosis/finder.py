@@ -268,7 +268,7 @@ def _short(trials: Sequence[Table], least: int = 3) -> str:
     cycles = sum(np.unique(cycles_of(t)).size for t in trials)
     if cycles >= least:
         return ""
-    return (f"{', '.join(t.source for t in trials)}: {cycles} cycles; expected at least {least}, so that some stay "
+    return (f"{', '.join(t.source for t in trials)}: {cycles} cycle{'' if cycles == 1 else 's'}; expected at least {least}, so that some stay "
             "unseen.")
 
 

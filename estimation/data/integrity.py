@@ -52,7 +52,7 @@ def stamps(given: Table, gap_steps: float = 5.0, least_rows: int = 100, slow_s: 
     """
     time = given["time_s"]
     if len(time) < least_rows:
-        yield Finding(f"{given.source}: {len(time)} rows; expected at least {least_rows}.", True)
+        yield Finding(f"{given.source}: {len(time)} row{'' if len(time) == 1 else 's'}; expected at least {least_rows}.", True)
         return
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
@@ -72,8 +72,8 @@ def stamps(given: Table, gap_steps: float = 5.0, least_rows: int = 100, slow_s: 
     step[np.asarray(given.seams, np.intp) - 1] = usual
     gaps = step > gap_steps * usual
     if gaps.any():
-        yield Finding(f"{given.source}: time_s has {int(gaps.sum())} gaps, the longest {step.max():.3g} s "
-                      f"at {time[int(np.argmax(step))]:.3f} s.")
+        count = "a gap" if gaps.sum() == 1 else f"{int(gaps.sum())} gaps, the longest"
+        yield Finding(f"{given.source}: time_s has {count} of {step.max():.3g} s at {time[int(np.argmax(step))]:.3f} s.")
     uneven = np.abs(step[~gaps] - usual) > 0.25 * usual
     if uneven.mean() > 0.01:
         yield Finding(f"{given.source}: time_s steps unevenly, {100.0 * uneven.mean():.0f} % of the steps differ by "
