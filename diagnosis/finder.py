@@ -268,8 +268,8 @@ def _short(trials: Sequence[Table], least: int = 3) -> str:
     cycles = sum(np.unique(cycles_of(t)).size for t in trials)
     if cycles >= least:
         return ""
-    return (f"{', '.join(t.source for t in trials)}: {cycles} cycle{'' if cycles == 1 else 's'}; expected at least {least}, so that some stay "
-            "unseen.")
+    return (f"{', '.join(t.source for t in trials)}: {cycles} cycle{'' if cycles == 1 else 's'}; expected at least "
+            f"{least}, so that some stay unseen.")
 
 
 def _of_wire(carried: WireFindings, warnings: list[str]) -> Findings:

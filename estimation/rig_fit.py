@@ -15,7 +15,6 @@ from estimation.fitted_quantities import quantities
 from estimation.joint_fit import fit_reference
 from estimation.reference_fit import ReferenceFit
 from estimation.rig_model import RigModel, rig_model_of
-from parameters import InputError
 from physics.laws import Array
 from physics.parameters import ESTIMATED
 
@@ -73,9 +72,6 @@ def _beside_ideal(parameter: str, constants: Mapping[str, Constant]) -> bool:
 
 def _fitted(tables: Sequence[Table]) -> tuple[RigModel, ReferenceFit]:
     model = rig_model_of(tables, tables)
-    if not model.outputs:
-        raise InputError(f"{', '.join(t.source for t in tables)}: no signal can be predicted; record servo_force_n, or "
-                         "tension_start_n with tension_end_n or knee_angle_rad, beside servo_position_m.")
     sessions: Any = model.sessions([model.record(t) for t in tables])
     return model, fit_reference(model, sessions)
 

@@ -503,11 +503,21 @@ def _fitted(trial: Taken, output: str, columns: Sequence[Array], less: Array | N
 def rig_model_of(reference: Sequence[Table], trials: Sequence[Table]) -> RigModel:
     """Return the model of another rig, built on the columns that all reference trials and trials have.
 
-    Raises `InputError` if one of them has no position of the axis.
+    Raises `InputError` if one of them has no position of the axis, or if they have no signal that can be predicted.
     """
     for given in (*reference, *trials):
         if "servo_position_m" not in given:
             raise InputError(f"{given.source}: has no column servo_position_m that moves; the simulation of a rig "
                              "needs it. Record the axis' position, in trials and reference trials alike.")
     kept = {n for n in reference[0].columns if all(n in t for t in [*reference, *trials])}
-    return RigModel([replace(t, columns={n: v for n, v in t.columns.items() if n in kept}) for t in reference])
+    model = RigModel([replace(t, columns={n: v for n, v in t.columns.items() if n in kept}) for t in reference])
+    if not model.outputs:
+        every = [*reference, *trials]
+        signals = [name for name in (START, END, FORCE, JOINT) if any(name in t for t in every)]
+        given = next((t for t in every if any(name not in t for name in signals)), every[0])
+        missing = ", ".join(name for name in signals if name not in given)
+        because = f"has no column {missing}, so " if missing else ""
+        raise InputError(f"{given.source}: {because}no signal can be predicted; record servo_force_n, or "
+                         "tension_start_n with tension_end_n or knee_angle_rad, beside "
+                         f"servo_position_m{''.join(f'; {note}' for note in given.notes)}.")
+    return model

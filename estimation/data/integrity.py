@@ -52,7 +52,8 @@ def stamps(given: Table, gap_steps: float = 5.0, least_rows: int = 100, slow_s: 
     """
     time = given["time_s"]
     if len(time) < least_rows:
-        yield Finding(f"{given.source}: {len(time)} row{'' if len(time) == 1 else 's'}; expected at least {least_rows}.", True)
+        count = "1 row" if len(time) == 1 else f"{len(time)} rows"
+        yield Finding(f"{given.source}: {count}; expected at least {least_rows}.", True)
         return
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
@@ -73,7 +74,7 @@ def stamps(given: Table, gap_steps: float = 5.0, least_rows: int = 100, slow_s: 
     gaps = step > gap_steps * usual
     if gaps.any():
         count = "a gap" if gaps.sum() == 1 else f"{int(gaps.sum())} gaps, the longest"
-        yield Finding(f"{given.source}: time_s has {count} of {step.max():.3g} s at {time[int(np.argmax(step))]:.3f} s.")
+        yield Finding(f"{given.source}: time_s has {count} of {step.max():.3g} s at {time[np.argmax(step)]:.3f} s.")
     uneven = np.abs(step[~gaps] - usual) > 0.25 * usual
     if uneven.mean() > 0.01:
         yield Finding(f"{given.source}: time_s steps unevenly, {100.0 * uneven.mean():.0f} % of the steps differ by "
@@ -296,7 +297,7 @@ def shared_rows(first: Table, second: Table) -> float:
     """
     names = [name for name, _ in signals_in(first) if name in second and name not in ("time_s", "servo_target_m")]
     names = [n for n in names if not n.startswith("desired")]
-    if not names:
+    if not any(name.endswith(("_n", "_nm", "_v")) for name in names):  # a motion repeats without noise
         return 0.0
     one, other = (np.unique(np.ascontiguousarray(np.column_stack([t[n] for n in names])).view(
         f"V{8 * len(names)}").ravel()) for t in (first, second))

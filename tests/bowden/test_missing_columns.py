@@ -62,6 +62,22 @@ def test_a_trial_that_lacks_an_output_of_its_reference_trials_is_judged_by_the_o
     assert not refused(bowden, {"servo_force_n"}, command)
 
 
+@pytest.mark.parametrize("moves", [0.0, 0.5])
+@pytest.mark.parametrize("command", ["diagnose lacking.csv --healthy whole.csv", "fit whole.csv lacking.csv -o a.toml"])
+def test_a_rig_whose_forces_have_other_names_is_asked_for_them(
+    here: Path, bowden: Callable[..., tuple[int, str, str]], command: str, moves: float
+) -> None:
+    knee = {name for name in NAMES if name.startswith(("knee", "gait", "desired", "servo_f", "cycle", "estimated"))}
+    table(Path("whole.csv"), knee)
+    table(Path("lacking.csv"), knee, phase=moves)
+    text = Path("lacking.csv").read_text()
+    Path("lacking.csv").write_text(text.replace("tension_start_n", "F1_kN").replace("tension_end_n", "F2_kN"))
+    status, _, err = bowden(*command.split())
+    assert (status, err.count("\n")) == (2, 1), err
+    assert "lacking.csv: has no column tension_start_n, tension_end_n" in err
+    assert "columns not used: F1_kN, F2_kN" in err
+
+
 def test_two_trials_of_two_rates_are_one_warning_that_names_both() -> None:
     pull = {"servo_position_m": np.sin, "tension_start_n": np.cos}
     first, second = (data_table.table(name, {"time_s": time, **{n: f(time) for n, f in pull.items()}})
