@@ -201,6 +201,13 @@ class DeclaredBench:
         return PathNodes(*(self.named(name).node_id if name else 0
                            for name in (path.actuator, joint.device, path.start, path.end)))
 
+    def roles(self, device: str, path: str | None) -> list[tuple[str, str]]:
+        """Return force path and role there (servo, knee, start, end) of a device, on one path or on all (None)."""
+        joints = {joint.name: joint.driven_by for joint in self.joints}
+        return [(one.name, role) for one in self.force_paths if path in (None, one.name) for role, name in (
+            ("servo", one.actuator), ("knee", joints.get(one.joint)), ("start", one.start), ("end", one.end))
+            if name and name == device]
+
     def path(self, name: str) -> DeclaredBench:
         """Return the bench of one force path: its devices with their node ids, its joint, and no other.
 

@@ -166,6 +166,13 @@ class Calibration:
         """
         return min(self.identified_to, stretch.limit_n(self, FLAT * self.stiffness_b))
 
+    def determined(self) -> dict[str, dict[str, Any]]:
+        """Return value, unit, 95 % interval and R² of the scalars that a trial determined, by name."""
+        return {name: {"value": getattr(self, name), "unit": declared.unit, "low": proof.low, "high": proof.high,
+                       "r_squared": proof.r_squared}
+                for name, _, declared in declarations(Calibration)
+                if (proof := self.evidence.get(name)) is not None and proof.trial}
+
 
 def scalars() -> tuple[str, ...]:
     """Return the names of the scalars, in the order of the file."""

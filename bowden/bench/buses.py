@@ -56,6 +56,13 @@ class BusSettings:
             return "SIMULATED"
         return " ".join(str(self.arguments[name]) for name in ("interface", "channel") if self.arguments.get(name))
 
+    def announced(self) -> str:
+        """Describe the bench, simulated or real, as a sentence before anything moves."""
+        if self.simulated:
+            numbers = ", ".join(f"{name} {self.arguments[name]}" for name in ("serial", "day", "seed", "plant"))
+            return f"SIMULATED bench, {numbers}; --interface names a real bus."
+        return f"bench on {self.in_words}."
+
     @property
     def bench(self) -> str:
         """Name of the bench in a calibration; "" without one."""
@@ -75,6 +82,18 @@ class OpenBus(NamedTuple):
     tap: Any
     clock: Callable[[], int]
     host: Callable[[], AbstractContextManager[list[str]]]
+
+
+def option(key: str, value: str) -> tuple[str, Any]:
+    """Return key and value of an interface's option: a number, true or false, else text."""
+    if not key:
+        raise ValueError
+    for convert in (int, float):
+        try:
+            return key, convert(value)
+        except ValueError:
+            continue
+    return key, {"true": True, "false": False}.get(value.lower(), value)
 
 
 def simulated(

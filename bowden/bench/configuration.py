@@ -65,6 +65,14 @@ def declaration(section: str) -> type[Any]:
     return found
 
 
+def force_paths(path: Path) -> list[str]:
+    """Return the names of the force paths of a bench.toml; none where it cannot be read."""
+    try:
+        return [declared.name for declared in read(path, any_shape=True)["network"].bench.force_paths]
+    except InputError:
+        return []
+
+
 def read(path: Path | None, *, any_shape: bool = False, person: Path | None = None) -> dict[str, Any]:
     """Return every section as its checked dataclass; sections absent from the file, or no file, give the defaults.
 

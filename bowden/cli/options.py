@@ -40,9 +40,9 @@ with on_first_use():
 T = TypeVar("T")
 
 
-def option(help: str, *names: str, **more: Any) -> Any:
-    """Declare an option; `names` if they are not those of the parameter."""
-    return typer.Option(*names, help=help, **more)
+def option(help: str, metavar: str | None = None, *names: str, **more: Any) -> Any:
+    """Declare an option; `names` if they are not those of the parameter; without a `metavar` it is a flag."""
+    return typer.Option(*names, help=help, metavar=metavar, **more)
 
 
 def argument(metavar: str, help: str, **more: Any) -> Any:
@@ -51,7 +51,7 @@ def argument(metavar: str, help: str, **more: Any) -> Any:
 
 
 def _file(help: str, *names: str) -> Any:
-    return option(help, *names, metavar="FILE")
+    return option(help, "FILE", *names)
 
 
 def new_file(help: str = "File to write.", content: str = "", *endings: str, name: str = "--output") -> Any:
@@ -64,21 +64,30 @@ def new_file(help: str = "File to write.", content: str = "", *endings: str, nam
     return declared
 
 
-def keyed(option: str, texts: Iterable[str] | None, expected: str, read: Callable[[str, str], T]) -> list[T]:
-    """Return `read(key, value)` of each KEY=VALUE that a repeatable option was given.
+def parsed(option: str, text: str, sentence: str, read: Callable[[str], T]) -> T:
+    """Return `read(text)`; where that raises ValueError or KeyError, `InputError` with a `sentence` on the text."""
+    try:
+        return read(text)
+    except InputError:
+        raise
+    except (ValueError, KeyError):
+        raise InputError(f"{option} {text}: {sentence}.") from None
 
-    Raises `InputError` with what is `expected` for a text without "=", and where `read` raises ValueError or KeyError.
-    """
-    found = []
-    for text in texts or ():
-        try:
-            key, value = text.split("=", 1)
-            found.append(read(key, value))
-        except InputError:
-            raise
-        except (ValueError, KeyError):
-            raise InputError(f"{option} {text}: expected {expected}.") from None
-    return found
+
+def keyed(option: str, texts: Iterable[str] | None, expected: str, read: Callable[[str, str], T]) -> list[T]:
+    """Return `read(key, value)` of each KEY=VALUE that a repeatable option was given; raises as `parsed`."""
+    def pair(text: str) -> T:
+        key, value = text.split("=", 1)
+        return read(key, value)
+
+    return [parsed(option, text, f"expected {expected}", pair) for text in texts or ()]
+
+
+def below(limit: int, number: int) -> int:
+    """Return a number from 0 to less than `limit`; raises ValueError for another one."""
+    if not 0 <= number < limit:
+        raise ValueError
+    return number
 
 
 def refuse_given(given: Mapping[str, Any], sentence: str) -> None:
@@ -96,64 +105,53 @@ def completing(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]
     return beginning
 
 
-def _declared_paths() -> list[str]:
-    """Return the force paths of ./bench.toml; none without a declaration that can be read."""
-    try:
-        bench = configuration.read(Path("bench.toml"), any_shape=True)["network"].bench
-    except InputError:
-        return []
-    return [path.name for path in bench.force_paths]
-
-
 effects = completing(lambda: ("any", *catalogue.CATALOGUE))
 experiments = completing(lambda: (*SCRIPTED, "repeat"))
 controllers = completing(lambda: sorted(entry.name for entry in entry_points(group="bowden.controllers")))
 serials = completing(lambda: map(str, range(1, 21)))
-declared_paths = completing(_declared_paths)
+declared_paths = completing(lambda: configuration.force_paths(Path("bench.toml")))
 
 PICTURE = ("a picture", *output_files.PICTURES)
 PAGE = ("a page", ".html", ".htm")
 RECORDING = ("a recording", ".mcap")
+NewRecording = Annotated[Path, new_file("File to write.", *RECORDING)]
 Output = Annotated[Path, new_file()]
 Page = Annotated[Path, new_file("File to write.", *PAGE)]
-Overwrite = Annotated[bool, option("Replace an existing output file.", "--overwrite")]
-Json = Annotated[bool, option("JSON on stdout, nothing else.", "--json")]
+Overwrite = Annotated[bool, option("Replace an existing output file.")]
+Json = Annotated[bool, option("JSON on stdout, nothing else.")]
 Config = Annotated[Path | None, _file("bench.toml; bowden init writes one.", "--config")]
 Picture = Annotated[Path | None, new_file(
     "Draw desired, START and END force (png, svg, pdf).", *PICTURE, name="--picture")]
 
 Logbook = Annotated[Path | None, option(
-    "Logbook to enter it in (default: [record] logbook of the configuration).", metavar="DIR")]
-Session = Annotated[str | None, option(
-    "Session of the logbook (default: the date; simulated: the day).", metavar="LABEL")]
+    "Logbook to enter it in (default: [record] logbook of the configuration).", "DIR")]
+Session = Annotated[str | None, option("Session of the logbook (default: the date; simulated: the day).", "LABEL")]
 
-Healthy = Annotated[list[Path] | None, option("Reference trial of the healthy bench; repeatable.", metavar="TRIAL")]
+Healthy = Annotated[list[Path] | None, option("Reference trial of the healthy bench; repeatable.", "TRIAL")]
 
-Peak = Annotated[float | None, option("Peak of the desired force, N (default 40).", metavar="N")]
-Period = Annotated[float | None, option("Gait period, s (default 2.0, or the knee file's stride).", metavar="S")]
-Cycles = Annotated[int | None, option("Gait cycles to run (default 10).", metavar="COUNT")]
-Rate = Annotated[int | None, option("Control cycles per second, Hz (default 1000).", metavar="HZ")]
+Peak = Annotated[float | None, option("Peak of the desired force, N (default 40).", "N")]
+Period = Annotated[float | None, option("Gait period, s (default 2.0, or the knee file's stride).", "S")]
+Cycles = Annotated[int | None, option("Gait cycles to run (default 10).", "COUNT")]
+Rate = Annotated[int | None, option("Control cycles per second, Hz (default 1000).", "HZ")]
 Knee = Annotated[Path | None, _file("Knee motion, CSV of time_s, knee_angle_rad or gait_percent, knee_angle_deg.")]
 Desired = Annotated[Path | None, _file(
     "Desired force, CSV of time_s or gait_percent and desired_force_n, or by knee_angle_deg, too; or module:function.")]
 Calibration = Annotated[Path | None, _file("Bench model to work from (default: the packaged nominal one).")]
 
 SafetyMonitor = Annotated[str | None, option(
-    "Safety monitor with the bounds in this file, or packaged (default: [monitor]).", metavar="FILE")]
-Interface = Annotated[str | None, option(
-    "python-can interface of a real bus (default: the virtual bus).", metavar="NAME")]
-Channel = Annotated[str | None, option("Channel of that interface, such as can0.", metavar="NAME")]
-Bitrate = Annotated[int | None, option("bit/s; default from [network].", metavar="BIT/S")]
-AnyInterface = Annotated[str, option(
-    "python-can interface, such as socketcan, udp_multicast or virtual.", metavar="NAME")]
-Seconds = Annotated[float | None, option("End after so many seconds.", "--for", metavar="S")]
-Lowpass = Annotated[float | None, option("Zero-phase low-pass on every signal.", metavar="HZ")]
+    "Safety monitor with the bounds in this file, or packaged (default: [monitor]).", "FILE")]
+Interface = Annotated[str | None, option("python-can interface of a real bus (default: the virtual bus).", "NAME")]
+Channel = Annotated[str | None, option("Channel of that interface, such as can0.", "NAME")]
+Bitrate = Annotated[int | None, option("bit/s; default from [network].", "BIT/S")]
+AnyInterface = Annotated[str, option("python-can interface, such as socketcan, udp_multicast or virtual.", "NAME")]
+Seconds = Annotated[float | None, option("End after so many seconds.", "S", "--for")]
+Lowpass = Annotated[float | None, option("Zero-phase low-pass on every signal.", "HZ")]
 Trial = Annotated[Path, argument("TRIAL", "A recorded trial.")]
 HomingForce = Annotated[float | None, option(
-    "START tension that homing may reach whatever the peak is (default 12).", "--homing-n", metavar="N")]
-Extra = Annotated[list[str] | None, option("Interface option; repeatable.", "--option", metavar="K=V")]
+    "START tension that homing may reach whatever the peak is (default 12).", "N", "--homing-n")]
+Extra = Annotated[list[str] | None, option("Interface option; repeatable.", "K=V", "--option")]
 ForcePath = Annotated[str | None, option(
-    "Force path of a bench of several, or joint of an arm.", "--path", metavar="NAME", autocompletion=declared_paths)]
+    "Force path of a bench of several, or joint of an arm.", "NAME", "--path", autocompletion=declared_paths)]
 
 
 class WalkOptions(NamedTuple):
@@ -162,14 +160,14 @@ class WalkOptions(NamedTuple):
     peak: Peak = None
     period: Period = None
     cycles: Cycles = None
-    settle: Annotated[int | None, option("First cycles left out of every figure (default 1).", metavar="COUNT")] = None
+    settle: Annotated[int | None, option("First cycles left out of every figure (default 1).", "COUNT")] = None
     controller: Annotated[str | None, option(
-        "paper, none, friction, impedance, extended or module:Class (paper).", metavar="NAME",
+        "paper, none, friction, impedance, extended or module:Class (paper).", "NAME",
         autocompletion=controllers)] = None
     soft_start: Annotated[int | None, option(
-        "Gait cycles before the first, over which the peak rises (default 0).", metavar="COUNT")] = None
+        "Gait cycles before the first, over which the peak rises (default 0).", "COUNT")] = None
     tuning: Annotated[list[str] | None, option(
-        "A parameter that the controller declares; repeatable.", "--set", metavar="NAME=VALUE")] = None
+        "A parameter that the controller declares; repeatable.", "NAME=VALUE", "--set")] = None
 
     def gait(self, section: Any, controller: str | None = None) -> Any:
         """Return the configuration's `section`, overridden by the options; `controller` is the default controller."""
@@ -182,13 +180,12 @@ class StrideOptions(NamedTuple):
     """Options of strides that differ; None uses the configuration."""
 
     strides: Annotated[int | None, option(
-        "Strides of --knee FILE to play in random order, varied, by --seed.", metavar="COUNT")] = None
-    stumbles: Annotated[int | None, option("Strides in which the wearer stumbles (default 0).", metavar="COUNT")] = None
-    stops: Annotated[int | None, option("Times that the wearer stops and goes on (default 0).", metavar="COUNT")] = None
-    sits: Annotated[int | None, option(
-        "Times that the wearer sits down and goes on (default 0).", metavar="COUNT")] = None
+        "Strides of --knee FILE to play in random order, varied, by --seed.", "COUNT")] = None
+    stumbles: Annotated[int | None, option("Strides in which the wearer stumbles (default 0).", "COUNT")] = None
+    stops: Annotated[int | None, option("Times that the wearer stops and goes on (default 0).", "COUNT")] = None
+    sits: Annotated[int | None, option("Times that the wearer sits down and goes on (default 0).", "COUNT")] = None
     phase: Annotated[str | None, option(
-        "What the force follows: clock, or felt, from the knee alone (default with --strides).", metavar="NAME")] = None
+        "What the force follows: clock, or felt, from the knee alone (default with --strides).", "NAME")] = None
 
     def walk(self, section: Any, seed: int | None) -> Any:
         """Return the configuration's `section`, overridden by the options, drawn by `seed`."""
@@ -213,21 +210,20 @@ class SimulatedOptions(NamedTuple):
     """Options of simulated benches only; None if not given."""
 
     serial: Annotated[int | None, option(
-        "Simulated bench: its serial number (default 1).", metavar="NUMBER", autocompletion=serials)] = None
-    day: Annotated[int | None, option("Simulated bench: number of the session (default 0).", metavar="NUMBER")] = None
-    seed: Annotated[int | None, option("Simulated bench: seed of the noise (default 0).", metavar="NUMBER")] = None
-    plant: Annotated[str | None, option("Simulated bench: its plant (default bowden).", metavar="NAME")] = None
+        "Simulated bench: its serial number (default 1).", "NUMBER", autocompletion=serials)] = None
+    day: Annotated[int | None, option("Simulated bench: number of the session (default 0).", "NUMBER")] = None
+    seed: Annotated[int | None, option("Simulated bench: seed of the noise (default 0).", "NUMBER")] = None
+    plant: Annotated[str | None, option("Simulated bench: its plant (default bowden).", "NAME")] = None
     plant_model: Annotated[Path | None, _file("Simulated bench: bench model or plant tables, TOML.")] = None
 
 
 class WatchOptions(NamedTuple):
     """Diagnosis while the trial runs."""
 
-    watch: Annotated[bool, option(
-        "Diagnose while it runs, by gait cycle; needs --healthy or a logbook.", "--watch")] = False
+    watch: Annotated[bool, option("Diagnose while it runs, by gait cycle; needs --healthy or a logbook.")] = False
     healthy: Healthy = None
     stop_on: Annotated[list[str] | None, option(
-        "With --watch: safe stop if this effect, or any, costs 2 % of the peak; repeatable.", metavar="EFFECT",
+        "With --watch: safe stop if this effect, or any, costs 2 % of the peak; repeatable.", "EFFECT",
         autocompletion=effects)] = None
 
     def bench(self, logbook: Path | None) -> WatchedBench | None:
@@ -260,7 +256,7 @@ class Bus(NamedTuple):
     bitrate: Bitrate = None
     option: Extra = None
     raise_limits: Annotated[str | None, option(
-        "Run with limits above the packaged ones; the trial records the reason.", metavar="REASON")] = None
+        "Run with limits above the packaged ones; the trial records the reason.", "REASON")] = None
     config: Config = None
 
     def sections(self, rate: int | None = None) -> dict[str, Any]:
@@ -300,7 +296,7 @@ class Bus(NamedTuple):
         --channel or --option without --interface is refused: the user means a real bus, and a simulated one would be
         opened. A command that is `always_simulated` accepts them.
         """
-        options = dict(keyed("--option", self.option, "KEY=VALUE; write for instance --option fd=true", _option))
+        options = dict(keyed("--option", self.option, "KEY=VALUE; write for instance --option fd=true", buses.option))
         simulated = simulated or SimulatedOptions()
         if self.interface is None and not always_simulated:
             for name, value in (("--channel", self.channel), ("--option", self.option and self.option[0])):
@@ -314,18 +310,6 @@ class Bus(NamedTuple):
         refuse_given(spelled(simulated),
                      f"{{}} belongs to simulated benches; leave it out with --interface {self.interface}.")
         return buses.bus(**{"interface": self.interface, "channel": self.channel, **options})
-
-
-def _option(key: str, value: str) -> tuple[str, Any]:
-    """Return key and value of an interface's option: a number, true or false, else text."""
-    if not key:
-        raise ValueError
-    for convert in (int, float):
-        try:
-            return key, convert(value)
-        except ValueError:
-            continue
-    return key, {"true": True, "false": False}.get(value.lower(), value)
 
 
 BusAlone = Annotated[Bus, "interface", "channel", "bitrate", "option"]
@@ -393,4 +377,8 @@ def _refuse_outputs(outputs: Mapping[str, tuple[str, Sequence[str]]], given: Map
 
 
 def _option_of(name: str, default: Any, annotation: Any) -> inspect.Parameter:
+    if getattr(annotation, "__origin__", None) is bool:
+        declared, = annotation.__metadata__
+        if declared.default is ...:  # Typer has a first name there; without a name it adds --no-…
+            declared.param_decls = (f"--{name.replace('_', '-')}",)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

@@ -131,6 +131,12 @@ def remark(text: str) -> None:
     print(f"bowden: {text}", file=sys.stderr, flush=True)
 
 
+def notice(text: str) -> None:
+    """Print one line on stderr; none for an empty text or with --json."""
+    if text and not quiet():
+        remark(text)
+
+
 def size(count: int) -> str:
     """Format the size of a file, bytes."""
     return f"{count / 1e6:.1f} MB" if count >= 1e6 else f"{count / 1e3:.0f} kB"

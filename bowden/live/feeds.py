@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
+import can
 import numpy as np
 
 from bowden.live.page_process import PageProcess, PageSetup
@@ -25,6 +26,8 @@ from trial.signals import of_bench, of_paths
 
 OTHER_PROCESS: Final = ("This process only listens to the bus. To stop: press Ctrl-C where the trial runs, the button "
                         "of its own page (bowden trial --web), or the emergency stop.")
+FRAME_S: Final = 1 / 60
+"""Time between two looks at the clock, s."""
 RECORDED: Final = "This is a recorded trial: there is nothing to stop."
 
 
@@ -125,6 +128,18 @@ class BusFeed:
         self._places = [follower.names.index(name)
                         for name in of_paths(shown.paths, ("tension_start_n", "tension_end_n"))]
 
+    def follow(self, bus: can.BusABC, over: Callable[[], bool]) -> str | None:
+        """Show what the bus sends until `over()`; return how the bus has failed, None if it has not."""
+        try:
+            while not over():
+                message = bus.recv(FRAME_S)
+                if message is not None:
+                    self.take(message)
+        except (can.CanError, OSError) as error:
+            self._shown.status("ended", f"the bus has failed: {error}")
+            return str(error)
+        return None
+
     def take(self, message: Any) -> None:
         """Take one message as `can.BusABC.recv` gives it; CAN FD frames are no bench's and are left out."""
         if message.is_fd:
@@ -165,6 +180,12 @@ class TrialPlayer:
         with self._lock:
             self._sought = self._sought or seek_ns is not None
             self._playback = self._playback.commanded(self._clock(), control, speed=speed, seek_ns=seek_ns)
+
+    def play(self, over: Callable[[], bool]) -> None:
+        """Add the messages as they become due, until `over()`."""
+        while not over():
+            self.look()
+            time.sleep(FRAME_S)
 
     def look(self) -> None:
         """Add the messages that are due; after a seek also those of the window before the position."""

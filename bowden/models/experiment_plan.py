@@ -120,6 +120,22 @@ class ExperimentPlan:
     def _deciding(self) -> Iterator[PlannedExperiment]:
         return (one for one in self.experiments if one.best >= DECIDES)
 
+    def advice(self, good: str) -> Iterator[str]:
+        """Yield what to run, or to do by hand; `good` is the reference trial whose motion a repetition follows."""
+        proposed = self.proposed
+        if proposed is None:
+            yield "None of them is likely to decide."
+            yield from (f"By hand: {name}: {text}." for name, text in self.by_hand.items())
+        elif proposed.name == REPEAT:
+            yield (f"Run: bowden trial --motion-of {good} -o repeat.mcap, then diagnose it alone, with the same "
+                   "--healthy.")
+        else:
+            if proposed.sure < proposed.with_reference:
+                yield (f"First, with nothing wrong: bowden trial --experiment {proposed.name} -o "
+                       f"{proposed.name}_good.mcap; give it with --healthy.")
+            yield (f"Run: bowden trial --experiment {proposed.name} -o {proposed.name}.mcap, then diagnose it beside "
+                   "the trial.")
+
     def as_json(self) -> dict[str, Any]:
         """Return plain values."""
         proposed = self.proposed

@@ -6,6 +6,7 @@ the master's commands; one without (lab data) imposes the measured motion of rop
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,9 @@ with on_first_use():
     from bowden.replay.onto_plant import SignalResidual, figure
     from estimation import bench_fit, simulation
     from estimation.data import table
+    from estimation.data.table import Table
     from physics.bench_model import BenchModel
+    from physics.forward.path_parameters import SimulatedTensions
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,18 @@ def simulate(model: Model | None, trial: Trial | str | Path, *, progress: Progre
         return _under_motion(known, recorded.path)
     found = onto_plant.replay(recorded, buses.simulated(0, plant_model=known), progress=progress)
     return Simulation(found.time_ns, found.recorded, found.simulated, found.columns, found.figures)
+
+
+def as_csv(given: Table, told: SimulatedTensions) -> str:
+    """Return time, measured and simulated tensions as CSV."""
+    columns = {"time_s": given["time_s"]}
+    for name in simulation.SIGNALS:
+        columns |= {name: given[name]} if name in given else {}
+        columns[f"simulated_{name}"] = getattr(told, name)
+    text = io.StringIO()
+    np.savetxt(text, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="",
+               fmt="%.9g")
+    return text.getvalue()
 
 
 def _under_motion(known: BenchModel, path: Path) -> Simulation:

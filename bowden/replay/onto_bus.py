@@ -124,6 +124,19 @@ def _outlet(chosen: BusSettings, channels: Mapping[int, str]) -> Iterator[tuple[
         yield Outlet({number: named[name] for number, name in channels.items()}), next(iter(named.values()))
 
 
+def own_direction(recorded: Trial) -> str:
+    """Return the direction to play onto the simulated bench, whose nodes send their own frames: tx.
+
+    Raises `InputError` if the recorder sent nothing.
+    """
+    frames = recorded.frames
+    if len(frames) and not frames["sent"].any():
+        raise InputError(f"{recorded.path}: holds no frame that its recorder sent, only received ones, and the nodes "
+                         "of the simulated bench send their own; give --interface and --channel of another bus, "
+                         "--nodes-only, or --direction both.")
+    return "tx"
+
+
 def channel_map(given: Sequence[str] | None) -> dict[int, str]:
     """Read options NUMBER=CHANNEL, such as 0=can1."""
     found: dict[int, str] = {}

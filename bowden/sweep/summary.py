@@ -6,7 +6,7 @@ A row is a mapping of a table's columns to cells as text.  Every figure is over 
 import math
 import statistics
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -79,6 +79,25 @@ def cells(rows: Rows, axes: Sequence[str]) -> list[dict[str, Any]]:
     return [{"cell": dict(zip(names, values, strict=True)), "trials": len(own), "completed": completed(own),
              "median": {name: spread.median for name, spread in spreads(own).items()}, "stopped": stopped(own)}
             for values, own in members.items()]
+
+
+MOST_CELLS = 200
+"""Cells of the grid that a list shows at the most."""
+
+
+def cell_lines(cells: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield a line for each of several cells of the grid, and below it why its trials stopped."""
+    if len(cells) < 2:
+        return
+    names = [name for name in FIGURES if any(name in cell["median"] for cell in cells)][:3]
+    yield "By cell of the grid" + (f", medians of: {'; '.join(FIGURES[name] for name in names)}" if names else "")
+    for cell in cells[:MOST_CELLS]:
+        where = ", ".join(f"{name.partition('.')[2]} = {value}" for name, value in cell["cell"].items() if value != "")
+        figures = "".join(f", {cell['median'][name]:.2f}" if name in cell["median"] else ", –" for name in names)
+        yield f"  {where}: {cell['completed']} of {cell['trials']} completed{figures}"
+        yield from (f"    {count} not completed: {reason}" for reason, count in cell["stopped"].items())
+    if len(cells) > MOST_CELLS:
+        yield f"  and {len(cells) - MOST_CELLS} more cells, in the table."
 
 
 class RankedController(NamedTuple):

@@ -18,6 +18,7 @@ from eds.datatype import DataType, Value, decode, encode
 from eds.dictionary import PACKAGED, Dictionary, Entry, key, packaged, read
 from eds.files import check
 from eds.files.notation import object_section
+from master.node_access import object_text
 from nodes import Application, Device
 from nodes.core.objects import fits
 from parameters import InputError
@@ -174,6 +175,14 @@ class CanopenNode:
         if not self._behaviour.busy and self.station.on:
             self.device.changed(self.bus.now_ns)
             self.station.settle(self.bus.now_ns)
+
+    def set_text(self, place: str, text: str) -> None:
+        """Set an object from text, as an option --set OBJECT=VALUE gives it; raises `InputError`."""
+        at, where = object_text.find(self.dictionary, place), f"--set {place}={text}"
+        if at not in self.dictionary.entries:
+            raise InputError(f"{where}: {self.dictionary.path} has no such object; give one of its own.")
+        kind = self.dictionary.entries[at].data_type
+        self[at >> 8, at & 0xFF] = decode(kind, object_text.encoded(kind, text, where))
 
     def _value(self, entry: Entry, value: float | bytes | str) -> Value:
         given: Value = value.encode("latin-1") if isinstance(value, str) else value

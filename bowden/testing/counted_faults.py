@@ -15,6 +15,8 @@ from virtual_bus.wire.station import ErrorKind, Station, Waiting
 
 BITS = 64
 """Number of bits in the longest payload: `corrupt` flips one of them."""
+NUMBERS = {"drop": None, "delay": "ms", "corrupt": "bit", "duplicate": None, "shorten": "size"}
+"""Kinds of faults that a text can state, each with the key whose number it needs; None: it needs no number."""
 
 
 @dataclass
@@ -102,6 +104,21 @@ class CountedFaults:
                 node_id: int | None = None, when: Callable[[bytes], bool] | None = None) -> CountedFault:
         """Disturb frames: an error frame ends each, and its transmitter repeats it."""
         return self._add("disturb", cob_id, count, after, node_id, when)
+
+    def add(self, kind: str, text: str) -> CountedFault:
+        """Add the fault `kind` from a text such as "185,count=2,after=10,ms=5", beginning with the COB-ID.
+
+        Raises ValueError or KeyError for another text; `NUMBERS` names the number that a kind needs.
+        """
+        cob_id, *more = text.split(",")
+        numbers = {key: int(value) for key, _, value in (one.partition("=") for one in more)}
+        count, after, needed = numbers.pop("count", None), numbers.pop("after", 0), NUMBERS[kind]
+        if set(numbers) != ({needed} if needed else set()):
+            raise ValueError(text)
+        if needed == "ms":
+            numbers = {"delay_ns": numbers["ms"] * 1_000_000}
+        added: CountedFault = getattr(self, kind)(int(cob_id, 16), count, after=after, **numbers)
+        return added
 
     def clear(self) -> None:
         """Remove every fault."""

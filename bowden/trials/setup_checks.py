@@ -7,11 +7,12 @@ end.
 from __future__ import annotations
 
 import datetime
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bowden.bench.buses import BusSettings, opened
+from bowden.bench.buses import BusSettings, handled, opened
 from bowden.deferred import on_first_use
 from bowden.trials import session
 from bowden.trials.force_paths import file_of
@@ -21,7 +22,7 @@ from parameters.files import write_whole
 with on_first_use():
     from eds.declaration import DeclaredBench, ForcePath
     from master.cycle.run_safely import Outcome, run_safely
-    from master.motion.commission import Procedure
+    from master.motion.commission import Procedure, reading
     from master.network.link import Link
     from physics import setup_check
     from physics.setup_check import SetupCheck
@@ -85,6 +86,25 @@ def perform(
         outcome = run_safely(Link(bus.bus, bus.clock), bus.tap, None, network, sections["limits"],
                              lambda exchange: found.update(procedure(exchange.paths[place])))
     return outcome, found
+
+
+def asked(of: str, reference: float, unit: str) -> str:
+    """Return in words what an operator puts on a load cell, N, or turns a joint to, rad."""
+    return f"{reference:g} N on {of}" if unit == "N" else f"{of} at {math.degrees(reference):g} degrees"
+
+
+def compared(of: str, reference: float, unit: str, chosen: BusSettings, sections: Mapping[str, Any], path: str | None
+             ) -> SetupCheck:
+    """Read a load cell (N) or a joint (rad) that is held at a reference, by a hand on a simulated bench.
+
+    Raises `InputError` if the reading is stopped.
+    """
+    held = handled(chosen, **{f"{of}_{'n' if unit == 'N' else 'rad'}": reference})
+    outcome, found = perform(held, sections, reading(of), path)
+    if outcome.reason is not None:
+        raise InputError(f"{asked(of, reference, unit)}: the reading was stopped ({outcome.reason}); nothing was "
+                         "written.")
+    return SetupCheck(of, reference, found["reading"], unit, datetime.datetime.now().isoformat(timespec="minutes"))
 
 
 def named(bench: DeclaredBench, path: str | None) -> ForcePath:

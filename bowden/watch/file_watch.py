@@ -3,8 +3,9 @@
 The rule of this file: it reads one file and sends nothing to a bus; a stop is asked for by its answer alone.
 """
 
+import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -152,6 +153,10 @@ class LatestCycles:
         return None if found.verdict == "refused" else {name: nats.get(name, 0.0) for name in found.rivals}
 
 
+LOOK_S: Final = 0.1
+"""Time between two looks at the file, s: as often as a recorder writes."""
+STILL_LOOKS: Final = 50
+"""Number of looks without growth of the file after which a remark says so: a recording that was cut off never grows."""
 ANY: Final = "any"
 """Word for every effect in --stop-on."""
 STOP_PERCENT: Final = 2.0
@@ -213,6 +218,20 @@ class FileWatch:
             if last and self._windows is not None:
                 for window in self._windows.rest():
                     yield from self._judged(window)
+
+    def follow(self, over: Callable[[], bool], remark: Callable[[str], None]) -> Iterator[WatchVerdict]:
+        """Yield each suspicion until the file is closed or `over()`; `remark` says once that it does not grow."""
+        still, size, path = 0, -1, self._file.path
+        while not self.closed and not over():
+            yield from self.look()
+            before, size = size, path.stat().st_size if path.exists() else 0
+            still = still + 1 if size == before else 0
+            if still == STILL_LOOKS:
+                remark(f"{path}: does not grow; if nothing writes it, end the watch by Ctrl-C and say bowden recover "
+                       f"{path} -o FILE.")
+            if not self.closed:
+                time.sleep(LOOK_S)
+        yield from self.look(last=True)
 
     def _cut(self, rows: Array) -> Iterator[GaitWindow]:
         if self._windows is None:

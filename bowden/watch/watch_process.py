@@ -17,14 +17,12 @@ from typing import Any, Final
 
 from bowden.child_processes import unsignalled
 from bowden.watch import file_watch
-from bowden.watch.file_watch import FileWatch, WatchedBench
+from bowden.watch.file_watch import LOOK_S, FileWatch, WatchedBench
 from master.cycle.run_safely import stop_button
 from parameters import InputError
 
 HEAR_ROWS: Final = 100
 """Rows between two looks for a word of the watch: a tenth of a second at 1 kHz."""
-LOOK_S: Final = 0.1
-"""Time between two looks at the file, s: as often as a recorder writes."""
 NICE: Final = 5
 """Niceness added to the watch, so that the trial has priority."""
 READY, CYCLE_DONE, STEP, END, DIAGNOSIS, REFUSED = "ready", "cycle", "step", "end", "diagnosis", "refused"

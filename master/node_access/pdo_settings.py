@@ -24,6 +24,15 @@ PROBED: Final = 8
 """PDOs of each direction that are looked for where no EDS lists them."""
 
 
+def _transmission(kind: int) -> str:
+    """Return a transmission type in words (CiA 301, table 70)."""
+    if kind == 0:
+        return "at SYNC after a change"
+    if kind <= 240:
+        return "every SYNC" if kind == 1 else f"every {kind} SYNCs"
+    return "event-driven" if kind >= 254 else "on remote request"
+
+
 class PdoState(NamedTuple):
     """One PDO: its communication parameters (None: absent) and its mapping words."""
 
@@ -35,6 +44,15 @@ class PdoState(NamedTuple):
     def name(self) -> str:
         """Name of the PDO, such as tpdo1."""
         return f"{'t' if self.object >= TPDO else 'r'}pdo{(self.object & 0x1FF) + 1}"
+
+    def in_words(self) -> str:
+        """Return the communication parameters, such as "tpdo1  181h on, type 1 (every SYNC)"."""
+        cob_id, kind, inhibit, timer = (self.parameters[name] for name in ("cob_id", "type", "inhibit", "event_timer"))
+        state = "off" if (cob_id or 0) & COB_ID_INVALID else "on"
+        return (f"{self.name}  {(cob_id or 0) & 0x7FF:03X}h {state}"
+                + ("" if kind is None else f", type {kind} ({_transmission(kind)})")
+                + (f", inhibit {inhibit / 10:g} ms" if inhibit else "")
+                + (f", event timer {timer} ms" if timer else ""))
 
     @property
     def valid(self) -> bool:

@@ -58,7 +58,7 @@ class NodeGuard:
     def __init__(self, link: Link, node_id: int, period_ns: int, life: int = 3) -> None:
         self.link, self.node_id, self.period_ns, self.life = link, node_id, period_ns, life
         self.state: int | None = None
-        self.lost = False
+        self.lost = self.ever_lost = False
         self.asked = self.unanswered = self.asked_ns = 0
         self._missed = 0
         self._toggle: int | None = None
@@ -82,7 +82,16 @@ class NodeGuard:
         self._toggle, self._missed, self.lost = answer.toggle, 0, False
         if repeated:
             return "the toggle bit did not change: the node booted, or another master guards it, too"
-        return "state" if changed else None
+        return state_name(answer.state) if changed else None
+
+    def events(self, seconds: float) -> Iterator[tuple[float, str]]:
+        """Guard for so many seconds; yield the time since the beginning, s, and what is wrong or has changed."""
+        began_ns = self.link.clock()
+        while self.link.clock() - began_ns < seconds * 1e9:
+            event = self.poll()
+            self.ever_lost = self.ever_lost or self.lost
+            if event is not None:
+                yield (self.asked_ns - began_ns) / 1e9, event
 
 
 MASTER: Final = 127
@@ -153,6 +162,10 @@ class NodeAccess:
         """Return an object's name; empty without an EDS."""
         return "" if self.dictionary is None else object_text.full_name(self.dictionary, at)
 
+    def label(self, at: int) -> str:
+        """Return place and name of an object, such as "6041:00 Statusword"."""
+        return " ".join(filter(None, (object_text.shown_key(at), self.name(at))))
+
     @cached_property
     def units(self) -> dict[int, tuple[float, str]]:
         """SI per raw count and unit by key, from the unit objects that the node holds now."""
@@ -172,6 +185,13 @@ class NodeAccess:
         """Read an object's bytes, expedited or segmented, or by block transfer; raises `SdoError`."""
         return self.link.sdo_read(self.node_id, at >> 8, at & 0xFF, block=block)
 
+    def value(self, at: int, kind: DataType | None, *, block: bool = False) -> Value | str | None:
+        """Read an object of this type; None if the node refuses to be read."""
+        try:
+            return object_text.value_of(kind, self.read_bytes(at, block=block))
+        except SdoError:
+            return None
+
     def read(self, name: str, kind: str | None = None) -> Value | str:
         """Read an object: a number, text, or bytes where its type is not known; raises `SdoError`, `InputError`."""
         at = self.find(name)
@@ -188,7 +208,7 @@ class NodeAccess:
 
     def encoded(self, at: int, text: str, kind: str | None = None) -> bytes:
         """Return the bytes of a value; raises `InputError` for one that type, access or limits of the EDS exclude."""
-        where = " ".join(filter(None, (f"node {self.node_id}, {object_text.shown_key(at)}", self.name(at))))
+        where = f"node {self.node_id}, {self.label(at)}"
         data = object_text.encoded(self.kind(at, kind), text, where)
         entry = self.dictionary.entries.get(at) if self.dictionary is not None else None
         if entry is not None and kind is None:

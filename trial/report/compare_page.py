@@ -3,7 +3,7 @@
 The page shows the result of `trial.compare`; A and B keep their colours throughout.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,10 @@ from trial.report.words import label, plain, quantities, words
 
 A, B = "#1f6fb2", "#d9730d"
 MOST_ROWS = 400
+SHOWN = 4
+"""Number of metadata keys that a sentence lists; further ones are counted."""
+COMPARED = ("tension_end_n", "tension_start_n", "servo_position_m", "knee_angle_rad")
+HASHES = ("commit", "calibration_digest", "packages", "limits_digest")
 
 
 def write(a: Trial, b: Trial, found: TrialComparison, path: Path, *, overwrite: bool = False) -> int:
@@ -116,3 +120,32 @@ def _attached(page: Page, found: TrialComparison) -> None:
         page.heading(name)
         rows = _rows(differences)
         page.table(("key", "A", "B"), rows, tall=len(rows) > 20)
+
+
+def sentences(found: TrialComparison) -> Iterator[str]:
+    """Yield what differs in at most five lines; values of attached files are counted."""
+    if found.same:
+        yield "The same, in every channel."
+    ended = {row.key: row for row in found.result}
+    changed = [row for row in found.metadata if row.key not in HASHES]
+    if changed:
+        more = f"; and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
+        yield f"Set up differently: {'; '.join(map(_change, changed[:SHOWN]))}{more}."
+    if "outcome" in ended and ended["outcome"].a != ended["outcome"].b:
+        yield f"Ended: {_change(ended.get('stop_reason', ended['outcome']))}."
+    if found.attachments:
+        yield "Attached files that differ: " + ", ".join(
+            f"{name} ({len(rows)} value{'' if len(rows) == 1 else 's'})" for name, rows in found.attachments.items()
+            ) + "."
+    forces = [row for row in found.signals if row.name in COMPARED and row.rms > 0]
+    if forces:
+        yield f"A − B, {found.matched}: " + "; ".join(
+            f"{row.name} {row.rms:.3g} {row.unit} RMS, at most {row.largest:.3g} at {row.largest_at_s:.3g} s"
+            for row in forces) + "."
+    if changed or found.attachments or not found.same:
+        yield "All of it: --all, or --report page.html."
+
+
+def _change(row: FieldDifference) -> str:
+    a, b = ("–" if value is None else str(plain(row.key, value))[:60] for value in (row.a, row.b))
+    return f"{row.key.replace('_', ' ')} {a} in A, {b} in B"

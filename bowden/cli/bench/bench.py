@@ -15,7 +15,7 @@ from bowden.bench import buses, configuration
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import Bus, SimulatedOptions, option
-from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
+from bowden.cli.terminal import AnswerTable, CommandAnswer
 from bowden.deferred import on_first_use
 from parameters.files import write_whole
 
@@ -39,7 +39,7 @@ def bench(
     config: options.Config = None, *, simulated: SimulatedOptions, bitrate: options.Bitrate = None,
     option: options.Extra = None,
     faults: Annotated[Path | None, option(
-        "Faults of nodes: [[fault]] tables with kind, node, start_s, stop_s.", metavar="FILE")] = None,
+        "Faults of nodes: [[fault]] tables with kind, node, start_s, stop_s.", "FILE")] = None,
     monitor: options.SafetyMonitor = None, seconds: options.Seconds = None,
 ) -> CommandAnswer | int:
     """Serve the simulated bench on a bus.
@@ -80,7 +80,7 @@ def served(what: str, chosen: buses.BusSettings, seconds: float | None, run: Cal
 @app.command(name="monitor-bounds", example="bowden monitor-bounds bench.mcap --person person.toml -o P-017.toml")
 def monitor_bounds(
     trials: Annotated[list[Path], options.argument("TRIAL…", "Completed trials of the bench without a limb: MCAP.")],
-    person: Annotated[Path, option("The person's file.", "--person", metavar="FILE")],
+    person: Annotated[Path, option("The person's file.", "FILE")],
     output: Annotated[Path, options.new_file("The person's file to write.", "a person's file", ".toml")],
 ) -> CommandAnswer:
     """Set the safety monitor's bounds that are the bench's.
@@ -91,26 +91,22 @@ def monitor_bounds(
     with terminal.waiting("reading the trials"):
         found, text = bench_bounds.of_trials(trials, person)
     write_whole(output, text, overwrite=True)
-    return CommandAnswer({"person": str(output), "bounds": {bound.key: bound._asdict() for bound in found}},
-                         _words_of_bounds(output, found))
-
-
-def _words_of_bounds(output: Path, found: list[bench_bounds.BenchBound]) -> Words:
     margin, ranges = bench_bounds.BENCH_MARGIN, persons.RANGES
-    yield AnswerTable("bounds of the bench", ("bound", "unit", "largest", f"× {margin}", "before", "now"), [
-        (bench_bounds.NAMES[bound.key], ranges[bound.key][0], bound.largest, margin * bound.largest, bound.before,
-         bound.after) for bound in found], ".3g")
     raised = [f"{bound.key} {bound.before:g} to {bound.after:g} {ranges[bound.key][0]}"
               for bound in found if bound.after > bound.before]
-    yield f"{output}: " + (f"larger now: {'; '.join(raised)}." if raised else "no bound had to be larger.")
+    return CommandAnswer({"person": str(output), "bounds": {bound.key: bound._asdict() for bound in found}}, [
+        AnswerTable("bounds of the bench", ("bound", "unit", "largest", f"× {margin}", "before", "now"), [
+            (bench_bounds.NAMES[bound.key], ranges[bound.key][0], bound.largest, margin * bound.largest, bound.before,
+             bound.after) for bound in found], ".3g"),
+        f"{output}: " + (f"larger now: {'; '.join(raised)}." if raised else "no bound had to be larger.")])
 
 
 @app.command(name="safety-monitor",
     example="bowden safety-monitor person.toml --interface socketcan --channel can0 --board my_board:Board")
 def safety_monitor(
     person: Annotated[str, typer.Argument(metavar="FILE", help="Bounds of one person, or packaged.")],
-    interface: Annotated[str, option("python-can interface of the bench's bus.", metavar="NAME")],
-    board: Annotated[str, option("Sensors and enable output.", "--board", metavar="MODULE:NAME")],
+    interface: Annotated[str, option("python-can interface of the bench's bus.", "NAME")],
+    board: Annotated[str, option("Sensors and enable output.", "MODULE:NAME")],
     channel: options.Channel = None, bitrate: options.Bitrate = None, option: options.Extra = None,
     config: options.Config = None,
 ) -> CommandAnswer:

@@ -20,10 +20,10 @@ with on_first_use():
 lss = CommandGroup(help="Node ids and bit rates of devices by LSS (CiA 305).")
 app.add_typer(lss, name="lss")
 
-Chosen = Annotated[int | None, option("The device with this node id.", "--node", metavar="ID")]
-Identity = Annotated[str | None, option("The device of this identity, hexadecimal.", "--identity", metavar="V:P:R:S")]
-Store = Annotated[bool, option("Store it, so that it outlasts a power cycle.", "--store")]
-Wait = Annotated[int, option("Time for an answer.", "--timeout", metavar="MS", min=1, max=10_000)]
+Chosen = Annotated[int | None, option("The device with this node id.", "ID", "--node")]
+Identity = Annotated[str | None, option("The device of this identity, hexadecimal.", "V:P:R:S")]
+Store = Annotated[bool, option("Store it, so that it outlasts a power cycle.")]
+Wait = Annotated[int, option("Time for an answer.", "MS", "--timeout", min=1, max=10_000)]
 
 
 @lss.command(example="bowden lss scan")
@@ -67,7 +67,7 @@ def bitrate(
     rate: Annotated[int, argument("RATE", "bit/s: 1000000, 800000, 500000, 250000, 125000, …")],
     reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False,
     activate: Annotated[int | None, option(
-        "Switch after MS, and stay silent for MS more, instead of at the next power-on.", "--activate", metavar="MS",
+        "Switch after MS, and stay silent for MS more, instead of at the next power-on.", "MS",
         min=1, max=65_535)] = None,
     force: Force = False, timeout: Wait = 100,
 ) -> CommandAnswer:

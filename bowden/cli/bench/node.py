@@ -6,12 +6,12 @@ import datetime
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from bowden.cli.app import CommandGroup, NothingGivenError, app
-from bowden.cli.options import Bus, argument, keyed, new_file, option
+from bowden.cli.options import Bus, argument, below, keyed, new_file, option, parsed
 from bowden.cli.terminal import CommandAnswer
 from bowden.deferred import on_first_use
 from parameters import InputError
@@ -21,8 +21,6 @@ with on_first_use():
     from bowden.bench.any_node import dictionary_of
     from eds import cia301, dictionary, emcy_codes
     from eds.bench.bench_network import wire
-    from eds.datatype import DataType
-    from master.network import sdo
     from master.network.link import Link
     from master.node_access import dcf, node_scan, object_text, pdo_settings, remote_node
 
@@ -32,10 +30,10 @@ app.add_typer(node, name="node")
 Name = Annotated[str, argument("NODE", "Node id 1 … 127, or servo, knee, start, end.")]
 File = Annotated[Path, argument("FILE", "DCF of the node.")]
 ObjectOf = Annotated[str, argument("OBJECT", "6041, 1018:01, or a name of the EDS.")]
-Eds = Annotated[Path | None, option("EDS or DCF, or a folder of them.", "--eds", metavar="FILE")]
-Force = Annotated[bool, option("Act even while another master is on the bus.", "--force")]
-Block = Annotated[bool, option("Use SDO block transfer.", "--block")]
-Type = Annotated[str | None, option("Data type: u8 … u64, i8 … i64, f32, f64, str, hex.", "--type", metavar="TYPE")]
+Eds = Annotated[Path | None, option("EDS or DCF, or a folder of them.", "FILE")]
+Force = Annotated[bool, option("Act even while another master is on the bus.")]
+Block = Annotated[bool, option("Use SDO block transfer.")]
+Type = Annotated[str | None, option("Data type: u8 … u64, i8 … i64, f32, f64, str, hex.", "TYPE")]
 
 
 @node.command(example="bowden node scan")
@@ -83,14 +81,14 @@ def read(
         "node": one.node_id, "object": object_text.shown_key(at), "name": one.name(at),
         "type": None if kind is None else kind.name, "value": object_text.plain(value),
         "si": value * scaled[0] if scaled and isinstance(value, int | float) else None,
-        "unit": scaled[1] if scaled else None, "bytes": len(data)}, f"{_object(one, at)} = {shown}")
+        "unit": scaled[1] if scaled else None, "bytes": len(data)}, f"{one.label(at)} = {shown}")
 
 
 @node.command(example="bowden node write 1 1017 500")
 def write(
     name: Name, place: ObjectOf, reached: Bus,
     value: Annotated[str | None, typer.Argument(metavar="VALUE", help="Decimal, 0x…, text or hex bytes.")] = None,
-    given: Annotated[Path | None, option("File with the bytes.", "--input", metavar="FILE")] = None,
+    given: Annotated[Path | None, option("File with the bytes.", "FILE", "--input")] = None,
     eds: Eds = None, type: Type = None, block: Block = False, force: Force = False,
 ) -> CommandAnswer:
     """Write one object, typed by the EDS or by --type, and read it back."""
@@ -105,23 +103,17 @@ def write(
         data = one.encoded(at, value or "", type) if content is None else content
         one.write_bytes(at, data, block=block)
         kind = one.kind(at, type)
-        now = _read_or_none(one, at, kind, block=block)
-        scaled = one.units.get(at)
+        now, scaled = one.value(at, kind, block=block), one.units.get(at)
     return CommandAnswer(
         {"node": one.node_id, "object": object_text.shown_key(at), "name": one.name(at), "written": len(data),
-         "value": object_text.plain(now)}, _object(one, at) + (
+         "value": object_text.plain(now)}, one.label(at) + (
             f": {len(data)} bytes written." if now is None else f" = {object_text.shown(now, kind, scaled, at)}"))
-
-
-def _object(one: remote_node.NodeAccess, at: int) -> str:
-    """Return index and name of an object."""
-    return " ".join(filter(None, (object_text.shown_key(at), one.name(at))))
 
 
 @node.command(example="bowden node objects 3 --changed")
 def objects(
     name: Name, reached: Bus, eds: Eds = None,
-    changed: Annotated[bool, option("Only values that are not the EDS's default.", "--changed")] = False,
+    changed: Annotated[bool, option("Only values that are not the EDS's default.")] = False,
 ) -> CommandAnswer:
     """List a node's objects with their live values; * marks one that is not the EDS's default."""
     with _node(name, reached, eds) as one:
@@ -142,9 +134,9 @@ def objects(
 @node.command(example="bowden node pdo 2 --map tpdo1=6041,6064 --set tpdo1.type=1")
 def pdo(
     name: Name, reached: Bus, eds: Eds = None,
-    mapped: Annotated[list[str] | None, option("Map objects: tpdo1=6041,6064.", "--map", metavar="PDO=OBJECTS")] = None,
+    mapped: Annotated[list[str] | None, option("Map objects: tpdo1=6041,6064.", "PDO=OBJECTS", "--map")] = None,
     given: Annotated[list[str] | None, option(
-        "cob_id, type, inhibit (100 µs) or event_timer (ms): tpdo1.type=1.", "--set", metavar="PDO.KEY=N")] = None,
+        "cob_id, type, inhibit (100 µs) or event_timer (ms): tpdo1.type=1.", "PDO.KEY=N", "--set")] = None,
     force: Force = False,
 ) -> CommandAnswer:
     """Show a node's PDOs with names and values, or change them in the order of CiA 301."""
@@ -160,10 +152,9 @@ def pdo(
         for index in dict.fromkeys((*maps, *settings)):
             pdo_settings.configure(one.link, one.node_id, index, maps.get(index), settings.get(index))
         states = one.pdos()
-        mapped_objects = {word >> 8 for state in states for word in state.mapping}
-        values = {at: _read_or_none(one, at, one.kind(at)) for at in mapped_objects}
+        values = {at: one.value(at, one.kind(at)) for at in {word >> 8 for state in states for word in state.mapping}}
         units = one.units
-    lines = [line for state in states for line in (_pdo_line(state), *(
+    lines = [line for state in states for line in (state.in_words(), *(
         f"    {object_text.shown_key(at)} {one.name(at)}, {word & 0xFF} bits = "
         f"{object_text.shown(values[at], one.kind(at), units.get(at), at)}"
         for word in state.mapping for at in (word >> 8,)))]
@@ -174,46 +165,16 @@ def pdo(
         [*lines, f"{len(states)} PDOs, {sum(state.valid for state in states)} in use."])
 
 
-def _pdo_line(state: pdo_settings.PdoState) -> str:
-    cob_id = state.parameters["cob_id"] or 0
-    kind = state.parameters["type"]
-    words = "" if kind is None else f", type {kind} ({_transmission(kind)})"
-    if state.parameters["inhibit"]:
-        words += f", inhibit {state.parameters['inhibit'] / 10:g} ms"
-    if state.parameters["event_timer"]:
-        words += f", event timer {state.parameters['event_timer']} ms"
-    return f"{state.name}  {cob_id & 0x7FF:03X}h {'off' if cob_id & cia301.COB_ID_INVALID else 'on'}{words}"
-
-
-def _transmission(kind: int) -> str:
-    if kind == 0:
-        return "at SYNC after a change"
-    if kind <= 240:
-        return "every SYNC" if kind == 1 else f"every {kind} SYNCs"
-    return "event-driven" if kind >= 254 else "on remote request"
-
-
-def _read_or_none(one: remote_node.NodeAccess, at: int, kind: DataType | None, *, block: bool = False) -> Any:
-    """Return the value of an object; None if the node refuses to be read."""
-    try:
-        return object_text.value_of(kind, one.read_bytes(at, block=block))
-    except sdo.SdoError:
-        return None
-
-
 def _setting(place: str, value: str) -> tuple[int, str, int]:
     """Return index, key and number of PDO.KEY=NUMBER."""
     name, _, key = place.partition(".")
-    number = int(value, 0)
-    if not 0 <= number < 1 << 8 * pdo_settings.PARAMETERS[key][1]:
-        raise ValueError
-    return pdo_settings.index_of(name), key, number
+    return pdo_settings.index_of(name), key, below(1 << 8 * pdo_settings.PARAMETERS[key][1], int(value, 0))
 
 
 @node.command(example="bowden node errors 1 || true")
 def errors(
     name: Name, reached: Bus, eds: Eds = None,
-    clear: Annotated[bool, option("Clear the history 0x1003.", "--clear")] = False,
+    clear: Annotated[bool, option("Clear the history 0x1003.")] = False,
     force: Force = False,
 ) -> CommandAnswer:
     """Show a node's error register and error history in words; exit status 1 where an error is present."""
@@ -235,8 +196,6 @@ def nmt(
     reached: Bus, force: Force = False,
 ) -> CommandAnswer:
     """Command the NMT state of a node or of all nodes; exit status 1 if a node does not show the new state."""
-    if command not in remote_node.COMMANDS:
-        raise InputError(f"nmt {command}: is no command; give one of {', '.join(remote_node.COMMANDS)}.")
     node_id = 0 if name == "all" else node_id_of(name, reached)
     with reached.linked(acts=not force) as link:
         answer = remote_node.nmt(link, node_id, command)
@@ -251,15 +210,11 @@ def nmt(
 def emcy(
     code: Annotated[str, argument("CODE", "Error code, hexadecimal.")],
     eds: Eds = None,
-    profile: Annotated[int | None, option("402 or 404: profile of the device.", metavar="NUMBER")] = None,
+    profile: Annotated[int | None, option("402 or 404: profile of the device.", "NUMBER")] = None,
 ) -> CommandAnswer:
     """Show an EMCY error code in words: the EDS's own, CiA 301, 402 and 404."""
-    try:
-        number = int(code.removesuffix("h"), 16)
-    except ValueError:
-        number = -1
-    if not 0 <= number <= 0xFFFF:
-        raise InputError(f"emcy {code}: is no error code; give four hexadecimal digits such as 8611.")
+    number = parsed("emcy", code, "is no error code; give four hexadecimal digits such as 8611",
+                    lambda text: below(1 << 16, int(text.removesuffix("h"), 16)))
     text = emcy_codes.emcy_text(number, profile, {} if eds is None else dictionary.read(eds).emergencies)
     return CommandAnswer({"code": f"{number:04X}", "text": text}, f"{number:04X} {text}")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import math
 import sys
 from dataclasses import asdict
@@ -42,7 +41,7 @@ def init(
     output: Annotated[Path, new_file("File to write.", "a configuration", ".toml")] = Path("bench.toml"),
     shape: Annotated[str, option(
         "Packaged declaration: bench, bench_start_only (no END load cell), bench_no_knee_drive, bench_antagonists (two "
-        "ropes on a joint), bench_two_legs.", metavar="NAME")] = "bench",
+        "ropes on a joint), bench_two_legs.", "NAME")] = "bench",
 ) -> CommandAnswer:
     """Write a commented bench.toml.
 
@@ -79,8 +78,7 @@ def check_config(file: Annotated[Path, argument("FILE", "bench.toml.")]) -> Comm
     runs = refused is None and (limits.raised or not (above or nobody))
     return CommandAnswer({
         "refusal": refused, "limits_above_packaged": above, "limits_raised": limits.raised,
-        "limits": {path: {name: getattr(found, name) for name, _ in _numbers(found)}
-                   for path, found in of_paths.items()},
+        "limits": {path: _fields(found, *(name for name, _ in _numbers(found))) for path, found in of_paths.items()},
         "safety_functions": configuration.held_as_objects(held), "held_by_nobody": nobody,
         "load_percent": found.load_percent, "goal_percent": bus_load.LOAD_GOAL_PERCENT, "rate_that_fits_hz": fits,
         "inputs_ns": found.inputs_ns, "deadline_ns": found.deadline_ns, "streams": [
@@ -104,6 +102,10 @@ def check_config(file: Annotated[Path, argument("FILE", "bench.toml.")]) -> Comm
         0 if runs and found.load_percent <= bus_load.LOAD_GOAL_PERCENT else 1)
 
 
+def _fields(found: Any, *names: str) -> dict[str, Any]:
+    return {name: getattr(found, name) for name in names}
+
+
 def _numbers(section: Any) -> list[tuple[str, str]]:
     """Return name and unit of each number of a section."""
     return [(name, told.unit) for name, default, told in declarations(type(section)) if not isinstance(default, str)]
@@ -119,16 +121,16 @@ def check_eds(files: Annotated[list[Path], argument("FILE…", "EDS or DCF files
         1 if found else 0)
 
 
-Weight = Annotated[float | None, option("Known weight on this load cell, N; at least 10.", metavar="N")]
+Weight = Annotated[float | None, option("Known weight on this load cell, N; at least 10.", "N")]
 
 
 @check.command("bench",
     example="bowden check bench --calibration calibration.toml --start 20 --end 20 --knee 0 --knee -60")
 def check_bench(
-    calibration: Annotated[Path, option("Calibration to enter the checks in.", "--calibration", metavar="FILE")],
+    calibration: Annotated[Path, option("Calibration to enter the checks in.", "FILE")],
     start: Weight = None, end: Weight = None,
     knee: Annotated[list[float] | None, option(
-        "Knee angle by a goniometer, degrees (flexion < 0); twice, at least 40 apart.", metavar="DEG")] = None,
+        "Knee angle by a goniometer, degrees (flexion < 0); twice, at least 40 apart.", "DEG")] = None,
     path: options.ForcePath = None, *, simulated: SimulatedOptions, reached: Bus,
 ) -> CommandAnswer:
     """Compare load cells with a known weight and the knee with a goniometer.
@@ -148,22 +150,15 @@ def check_bench(
     sections, chosen = reached.sections(), reached.chosen(simulated)
     made: list[setup_check.SetupCheck] = []
     for of, reference, unit in asked:
-        shown = f"{reference:g} N on {of}" if unit == "N" else f"{of} at {math.degrees(reference):g} degrees"
         if not chosen.simulated and sys.stdin.isatty():
-            typer.prompt(f"{shown}, then Enter", default="", show_default=False, err=True)
+            typer.prompt(f"{setup_checks.asked(of, reference, unit)}, then Enter", default="", show_default=False,
+                         err=True)
         with terminal.waiting(f"reading {of}"):
-            outcome, found = setup_checks.perform(
-                buses.handled(chosen, **{f"{of}_{'n' if unit == 'N' else 'rad'}": reference}), sections,
-                commission.reading(of), path)
-        if outcome.reason is not None:
-            raise InputError(f"{shown}: the reading was stopped ({outcome.reason}); nothing was written.")
-        made.append(setup_check.SetupCheck(of, reference, found["reading"], unit,
-                                           datetime.datetime.now().isoformat(timespec="minutes")))
+            made.append(setup_checks.compared(of, reference, unit, chosen, sections, path))
     setup_checks.enter(calibration, made)
     return CommandAnswer(
-        {"calibration": str(calibration), "checks": [
-            {"of": one.of, "reference": one.reference, "reading": one.reading, "deviation": one.deviation,
-             "tolerance": one.tolerance, "unit": one.unit, "passed": one.passed, "date": one.date} for one in made]},
+        {"calibration": str(calibration), "checks": [_fields(
+            one, "of", "reference", "reading", "deviation", "tolerance", "unit", "passed", "date") for one in made]},
         [*(f"{'ok ' if one.passed else 'BAD'} {one.in_words()}" for one in made), f"Entered in {calibration}."],
         0 if all(one.passed for one in made) else 1)
 
@@ -171,11 +166,11 @@ def check_bench(
 @app.command(example="bowden doctor --interface socketcan --channel can0")
 def doctor(
     reached: Bus,
-    seconds: Annotated[float, option("Duration of the timer check.", "--for", metavar="S", min=0.1)] = 5.0,
+    seconds: Annotated[float, option("Duration of the timer check.", "S", "--for", min=0.1)] = 5.0,
     compiles: Annotated[bool, option(
-        "Compile the laws and end: the warm-up of a container image.", "--compile")] = False,
+        "Compile the laws and end: the warm-up of a container image.", None, "--compile")] = False,
     soak: Annotated[float | None, option(
-        "Instead, measure wake-ups and SDO round trips for so many minutes.", metavar="MINUTES", min=0.0)] = None,
+        "Instead, measure wake-ups and SDO round trips for so many minutes.", "MINUTES", min=0.0)] = None,
     output: Annotated[Path | None, new_file("With --soak: the report, Markdown.")] = None,
 ) -> CommandAnswer:
     """Check the bench; name the commands to type.
@@ -194,10 +189,9 @@ def doctor(
     with terminal.waiting("looking"):
         found = list(examination.examine(sections["network"], reached.chosen(), seconds))
     faults = sum(not finding.good for finding in found)
-
     return CommandAnswer({"findings": [
-        {"what": finding.what, "good": finding.good, "seen": finding.seen,
-         "remedy": None if finding.good else finding.remedy} for finding in found], "faults": faults,
+        _fields(finding, "what", "good", "seen") | {"remedy": None if finding.good else finding.remedy}
+        for finding in found], "faults": faults,
         "safety_functions": configuration.held_as_objects(held)}, [
         *(f"ok  {finding.what}: {finding.seen}" if finding.good else
           f"BAD {finding.what}: {finding.seen}\n      {finding.remedy}" for finding in found),
@@ -256,8 +250,8 @@ def tare(
 @app.command(example="bowden jog servo --by -2 --speed 5 --interface socketcan --channel can0")
 def jog(
     axis: Annotated[str, argument("AXIS", "servo or knee, or a declared drive.")],
-    by: Annotated[float, option("mm of rope (pulling > 0) or degrees of knee (flexion < 0).", metavar="X")],
-    speed: Annotated[float, option("mm/s or degrees/s at most (default 10).", metavar="V", show_default=False)] = SPEED,
+    by: Annotated[float, option("mm of rope (pulling > 0) or degrees of knee (flexion < 0).", "X")],
+    speed: Annotated[float, option("mm/s or degrees/s at most (default 10).", "V", show_default=False)] = SPEED,
     rate: options.Rate = None, path: options.ForcePath = None, *, reached: Bus,
 ) -> CommandAnswer:
     """Move one axis slowly, alone; the other drive stays off."""
@@ -291,12 +285,8 @@ class _Bench:
 
         If one path alone has the device, that path is chosen.
         """
-        bench = self.sections["network"].bench
-        joints = {joint.name: joint.driven_by for joint in bench.joints}
-        places = [(one.name, place) for one in bench.force_paths for place, device in (
-            ("servo", one.actuator), ("knee", joints.get(one.joint, "")), ("start", one.start), ("end", one.end))
-            if device and device == name and self.path in (None, one.name)]
-        if len(places) == 1 and self.path is None:
+        places = self.sections["network"].bench.roles(name, self.path)
+        if len(places) == 1:
             self.path = places[0][0]
         return places[0][1] if places else name
 
@@ -307,13 +297,11 @@ class _Bench:
 
     def perform(self, what: str, procedure: commission.Procedure, *, pulls: str = "") -> CommandAnswer:
         """Run one procedure and return its result; `pulls` is the largest force that it may pull, as a sentence."""
-        if pulls and not terminal.quiet():
-            terminal.remark(pulls)
+        terminal.notice(pulls)
         with terminal.waiting(what):
             outcome, found = setup_checks.perform(self.chosen, self.sections, procedure, self.path)
         result = {"procedure": what, "outcome": "completed" if outcome.reason is None else "stopped",
                   "stop_reason": outcome.reason, "missed_cycles": outcome.missed_cycles, **found}
-
         return CommandAnswer(result, [
             *([AnswerTable(what, ("figure", "value"), list(found.items()), ".4f")] if found else []),
             f"{what}, {self.chosen.in_words}: {result['outcome']}"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -22,39 +22,32 @@ from bowden.deferred import on_first_use
 from parameters import InputError
 
 with on_first_use():
-    import can
-
     from bowden.live import feeds
-    from bowden.live.feeds import TrialPlayer
     from bowden.live.web import LivePage
     from bowden.models import logbook_entries
     from bowden.trials.recording import BusRecording
     from bowden.watch import file_watch, watch_process
-    from bowden.watch.file_watch import FileWatch, WatchedBench
+    from bowden.watch.file_watch import WatchedBench
     from eds.bench.bench_network import wire
-    from estimation.running_evidence import WatchVerdict
     from logbook.database import refuse_no_logbook
     from trial import playback
     from trial.read import open as opened
     from trial.read import path_names
 
 
-FRAME_S = 1 / 60  # between two looks at the clock
 PlayedTrial = Annotated[Path | None, argument("TRIAL", "A recorded trial.")]
 Web = Annotated[str, option(
-    "Address of the page; port 0: a free one; 0.0.0.0: open to other computers.", metavar="[HOST:]PORT")]
-Speed = Annotated[float, option("Playing speed, 0.001 … 1000 times real time.", metavar="X")]
+    "Address of the page; port 0: a free one; 0.0.0.0: open to other computers.", "[HOST:]PORT")]
+Speed = Annotated[float, option("Playing speed, 0.001 … 1000 times real time.", "X")]
 
 
-@app.command()
+@app.command(example="bowden live trial.mcap --web 8080 --for 5")
 def live(
     trial: PlayedTrial = None, *, reached: Bus, web: Web = "8765", speed: Speed = 1.0, seconds: options.Seconds = None,
 ) -> int:
     """Show a trial or a running bus in a browser, live.
 
     The page plays a trial with play, pause, seek and speed.  A bus is only listened to.
-
-    Example: bowden live trial.mcap --web 8080 --for 5
     """
     _refuse_both(trial, reached, "a live view shows")
     if trial is not None:
@@ -78,14 +71,12 @@ def _play(path: Path, reached: Bus, speed: float, web: str, over: Callable[[], b
     if not slowest <= speed <= fastest:
         raise InputError(f"--speed {speed:g}: expected {slowest:g} … {fastest:g}; give another one.")
     trial = opened(path)
-    network = configuration.read(reached.config)["network"]
-    shown = feeds.state(path.name, "recorded", network, path_names(trial) or ("",))
-    player = TrialPlayer(trial, speed, time.monotonic_ns, shown)
+    shown = feeds.state(path.name, "recorded", configuration.read(reached.config)["network"],
+                        path_names(trial) or ("",))
+    player = feeds.TrialPlayer(trial, speed, time.monotonic_ns, shown)
     with closing(LivePage(shown, web, None, feeds.RECORDED, player.request)) as page:
         _show_page(page)
-        while not over():
-            player.look()
-            time.sleep(FRAME_S)
+        player.play(over)
     return 0
 
 
@@ -95,30 +86,20 @@ def _follow_bus(reached: Bus, web: str, over: Callable[[], bool]) -> int:
     with buses.opened_one(reached.chosen(), network.bitrate) as bus, \
             closing(LivePage(shown, web, None, feeds.OTHER_PROCESS)) as page:
         _show_page(page)
-        feed = feeds.BusFeed(network, shown)
-        try:
-            while not over():
-                message = bus.recv(FRAME_S)
-                if message is not None:
-                    feed.take(message)
-        except (can.CanError, OSError) as error:
-            terminal.remark(f"the bus has failed: {error}.")
-            shown.status("ended", f"the bus has failed: {error}")
-            return 1
-    return 0
+        failure = feeds.BusFeed(network, shown).follow(bus, over)
+        if failure is not None:
+            terminal.remark(f"the bus has failed: {failure}.")
+    return 0 if failure is None else 1
 
 
 Written = Annotated[Path | None, argument("TRIAL", "Trial that is being written, by bowden trial or bowden record.")]
 Recording = Annotated[Path | None, new_file("With --interface: where the bus is recorded.", *options.RECORDING)]
 Book = Annotated[Path | None, option(
-    "Logbook of the bench, in place of --healthy and for the scatter between sessions.", metavar="DIR")]
-LOOK_S = 0.1
-"""Time between two looks at the file, s."""
-STILL_LOOKS = 50
-"""Number of looks without growth of the file after which a remark says so: a recording that was cut off never grows."""
+    "Logbook of the bench, in place of --healthy and for the scatter between sessions.", "DIR")]
 
 
-@app.command()
+@app.command(
+    example="bowden trial --cycles 3 -o good.mcap && bowden watch trial.mcap --healthy good.mcap")
 def watch(
     trial: Written = None, output: Recording = None, healthy: options.Healthy = None, logbook: Book = None, *,
     reached: Bus, seconds: options.Seconds = None, path: options.ForcePath = None,
@@ -126,8 +107,6 @@ def watch(
     """Diagnose a trial while it is written, or a bus that is only listened to.
 
     A line for each gait cycle; the diagnosis of the whole once the file is closed.
-
-    Example: bowden trial --cycles 3 -o good.mcap && bowden watch trial.mcap --healthy good.mcap
     """
     _refuse_both(trial, reached, "a watch reads")
     refuse_no_logbook(logbook)
@@ -145,7 +124,7 @@ def _file(trial: Path, bench: WatchedBench, seconds: float | None) -> CommandAns
     with terminal.fitting("fitting the reference trials"):
         watched = file_watch.FileWatch(trial, bench)
     cycles = []
-    for verdict in _looked(watched, over, trial):
+    for verdict in watched.follow(over, terminal.remark):
         cycles.append(verdict.as_json())
         if not terminal.quiet():
             print(watched.told(verdict), flush=True)
@@ -154,21 +133,6 @@ def _file(trial: Path, bench: WatchedBench, seconds: float | None) -> CommandAns
         with terminal.fitting("diagnosing the whole trial"):
             result["diagnosis"] = file_watch.as_json(watched.diagnosis())
     return _answer(result)
-
-
-def _looked(watched: FileWatch, ended: Callable[[], bool], trial: Path) -> Iterator[WatchVerdict]:
-    """Yield each suspicion until the file is closed or the time is over; remark if it does not grow."""
-    still, size = 0, -1
-    while not watched.closed and not ended():
-        yield from watched.look()
-        before, size = size, trial.stat().st_size if trial.exists() else 0
-        still = still + 1 if size == before else 0
-        if still == STILL_LOOKS:
-            terminal.remark(f"{trial}: does not grow; if nothing writes it, end the watch by Ctrl-C and say bowden "
-                            f"recover {trial} -o FILE.")
-        if not watched.closed:
-            time.sleep(LOOK_S)
-    yield from watched.look(last=True)
 
 
 def _bus(reached: Bus, output: Path | None, bench: WatchedBench, seconds: float | None) -> CommandAnswer:
@@ -198,9 +162,8 @@ def _answer(result: dict[str, Any], *, failed: bool = False) -> CommandAnswer:
     """Return the diagnosis of the whole; status 1 where the file was not closed or not diagnosed, or the bus failed."""
     found = result["diagnosis"]
     if found is None:
-        if not terminal.quiet():
-            terminal.remark(f"{result['trial']}: no diagnosis of the whole: "
-                            f"{result.get('remark') or 'the file is not closed yet.'}")
+        terminal.notice(f"{result['trial']}: no diagnosis of the whole: "
+                        f"{result.get('remark') or 'the file is not closed yet.'}")
         return CommandAnswer(result, "", 1)
     named = f": {', '.join(found['class'])}" if found["class"] else ""
     refused = found["warnings"] if found["verdict"] == "refused" else []

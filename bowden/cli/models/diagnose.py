@@ -18,7 +18,6 @@ from parameters.files import write_whole
 with on_first_use():
     from bowden import workers as job_workers
     from bowden.models import diagnose_each, diagnosing, experiment_plan, logbook_entries
-    from diagnosis.evidence.planned_limits import Plan
     from diagnosis.findings import Findings
     from diagnosis.report import figure_export, headline
     from trial.report.words import quantities, words
@@ -28,31 +27,28 @@ with on_first_use():
 def diagnose(
     trials: Annotated[list[Path] | None, argument("TRIAL…", "MCAP, or CSV (.gz) with canonical headers.")] = None,
     calibration: options.Calibration = None, healthy: options.Healthy = None,
-    holdout: Annotated[list[Path] | None, option("Never fitted, only judged; repeatable.", metavar="TRIAL")] = None,
+    holdout: Annotated[list[Path] | None, option("Never fitted, only judged; repeatable.", "TRIAL")] = None,
     path: options.ForcePath = None, lowpass: options.Lowpass = None,
     output: Annotated[Path | None, new_file(
         "extended.toml: named effects, for --plant-model and --controller-model.", "what was found", ".toml")] = None,
     report: Annotated[Path | None, new_file(
         "One HTML page that needs no network.", *options.PAGE, name="--report")] = None,
-    figures: Annotated[Path | None, option("Folder for pictures (PNG) and tables (CSV).", metavar="DIR")] = None,
+    figures: Annotated[Path | None, option("Folder for pictures (PNG) and tables (CSV).", "DIR")] = None,
     terms: Annotated[bool, option(
-        "If effects do not explain the whole trial, search terms, too, as bowden discover.", "--terms")] = False,
+        "If effects do not explain the whole trial, search terms, too, as bowden discover.")] = False,
     effects: Annotated[list[Path] | None, option(
-        "Effects of your own, TOML, beside those of the catalogue; repeatable.", metavar="FILE")] = None,
+        "Effects of your own, TOML, beside those of the catalogue; repeatable.", "FILE")] = None,
     tracked: Annotated[tuple[Path, Path] | None, option(
-        "With --report: the two trials of bowden verify, shown in it.", metavar="BEFORE AFTER")] = None,
-    each: Annotated[bool, option("Diagnose each TRIAL separately, several at a time.", "--each")] = False,
-    workers: Annotated[int | None, option(
-        "With --each: processes (default: one a processor).", metavar="COUNT", min=1)] = None,
-    scheduler: Annotated[str | None, option(
-        "With --each: Dask scheduler to run on, host:port.", metavar="ADDRESS")] = None,
-    logbook: Annotated[Path | None, option(
-        "Logbook to enter the verdict in; it replaces --healthy.", metavar="DIR")] = None,
+        "With --report: the two trials of bowden verify, shown in it.", "BEFORE AFTER")] = None,
+    each: Annotated[bool, option("Diagnose each TRIAL separately, several at a time.")] = False,
+    workers: Annotated[int | None, option("With --each: processes (default: one a processor).", "COUNT", min=1)] = None,
+    scheduler: Annotated[str | None, option("With --each: Dask scheduler to run on, host:port.", "ADDRESS")] = None,
+    logbook: Annotated[Path | None, option("Logbook to enter the verdict in; it replaces --healthy.", "DIR")] = None,
     plan: Annotated[str | None, option(
         "Without a trial: smallest size of each effect that gait, or an experiment of bowden trial --experiment, would "
-        "show.", "--plan", metavar="EXPERIMENT", autocompletion=options.experiments)] = None,
+        "show.", "EXPERIMENT", autocompletion=options.experiments)] = None,
     peak: options.Peak = None, period: options.Period = None, cycles: options.Cycles = None,
-    noise: Annotated[float | None, option("With --plan: noise of both tension sensors, 1σ.", metavar="N")] = None,
+    noise: Annotated[float | None, option("With --plan: noise of both tension sensors, 1σ.", "N")] = None,
     overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Name the causes of the simulation's errors.
@@ -179,18 +175,12 @@ def _parameters(parameters: dict[str, Any]) -> str:
 def _plan(name: str, walk: tuple[Any, ...], calibration: Path | None, healthy: list[Path]) -> CommandAnswer:
     with terminal.waiting(f"simulating {name}"):
         found = experiment_plan.plan(name, experiment_plan.WalkPlan(*walk), calibration, healthy)
-    return CommandAnswer({"experiment": name, **found.as_json()}, _words_of_plan(name, found))
-
-
-def _words_of_plan(name: str, found: Plan) -> Words:
-    yield AnswerTable(f"the smallest departure from healthy that {name} shows", (
-        "effect", "smallest", "likely", "seen in"), [
-        (limit.effect, "not seen" if limit.size is None else f"{limit.size:.3g} {limit.unit}".rstrip(),
-         f"{limit.likely[0]:.3g} … {limit.likely[1]:.3g}", limit.signal or "–") for limit in found.limits])
-    for limit in found.limits:
-        if limit.like:
-            yield Paragraph(f"{limit.effect} looks like {', '.join(limit.like)}.")
-    if found.blind:
-        yield Paragraph(f"Not seen by any signal: {', '.join(found.blind)}.")
-    yield AnswerTable("signals", ("signal", "unit", "floor"), [
-        (name, row["unit"], row["floor"]) for name, row in found.signals.items()], ".3g")
+    return CommandAnswer({"experiment": name, **found.as_json()}, [
+        AnswerTable(f"the smallest departure from healthy that {name} shows", (
+            "effect", "smallest", "likely", "seen in"), [
+            (limit.effect, "not seen" if limit.size is None else f"{limit.size:.3g} {limit.unit}".rstrip(),
+             f"{limit.likely[0]:.3g} … {limit.likely[1]:.3g}", limit.signal or "–") for limit in found.limits]),
+        *(Paragraph(f"{limit.effect} looks like {', '.join(limit.like)}.") for limit in found.limits if limit.like),
+        Paragraph(f"Not seen by any signal: {', '.join(found.blind)}.") if found.blind else "",
+        AnswerTable("signals", ("signal", "unit", "floor"), [
+            (name, row["unit"], row["floor"]) for name, row in found.signals.items()], ".3g")])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import io
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
@@ -18,13 +17,11 @@ from bowden.cli.options import Bus, SimulatedOptions, argument, new_file, option
 from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 from bowden.trials import force_paths
-from parameters import InputError, declarations
+from parameters import InputError
 from parameters.files import write_whole
 
 with on_first_use():
-    import numpy as np
-
-    from bowden.models import diagnosing, identification, logbook_entries
+    from bowden.models import diagnosing, identification, logbook_entries, simulating
     from bowden.pages import model_pictures
     from bowden.trials import session
     from estimation import bench_fit, simulation
@@ -32,7 +29,6 @@ with on_first_use():
     from logbook.database import refuse_no_logbook
     from physics import bench_model
     from physics.calibration import Calibration, write
-    from physics.forward.path_parameters import SimulatedTensions
     from trial.report.words import quantity
 
 
@@ -85,7 +81,7 @@ def _words_of_fit(output: Path, found: bench_fit.FittedBench) -> Words:
 def simulate(
     trial: Annotated[Path, argument("TRIAL", "MCAP, or CSV (.gz) with rope position and knee angle (none: locked).")],
     model: Annotated[Path | None, option(
-        "model.toml of bowden fit, or extended.toml (default: the nominal bench).", metavar="FILE")] = None,
+        "model.toml of bowden fit, or extended.toml (default: the nominal bench).", "FILE")] = None,
     output: Annotated[Path | None, new_file("CSV of measured and simulated tensions.", "a table", ".csv")] = None,
     path: options.ForcePath = None,
 ) -> CommandAnswer:
@@ -98,34 +94,17 @@ def simulate(
     with terminal.waiting("simulating"):
         told = simulation.simulate(bench_fit.as_fitted(given, used), used.simulation_values())
     if output is not None:
-        _write_tensions(output, given, told)
+        write_whole(output, simulating.as_csv(given, told), overwrite=True)
     figures = simulation.compared(given, told)
     result: dict[str, Any] = {"trial": str(trial), "model": None if model is None else str(model), **figures}
-    return CommandAnswer(result, _words_of_simulation(result, figures))
-
-
-def _write_tensions(output: Path, given: table.Table, told: SimulatedTensions) -> None:
-    columns = {"time_s": given["time_s"]}
-    for name in simulation.SIGNALS:
-        if name in given:
-            columns[name] = given[name]
-        columns[f"simulated_{name}"] = getattr(told, name)
-    text = io.StringIO()
-    np.savetxt(text, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="",
-               fmt="%.9g")
-    write_whole(output, text.getvalue(), overwrite=True)
-
-
-def _words_of_simulation(result: dict[str, Any], figures: dict[str, Any]) -> Words:
-    yield f"The simulation of {result['model'] or 'the nominal bench'} under the motion of {result['trial']}:"
-    for name, row in figures.items():
-        yield AnswerTable(
+    return CommandAnswer(result, [
+        f"The simulation of {result['model'] or 'the nominal bench'} under the motion of {trial}:",
+        *(AnswerTable(
             f"{name}: measured less simulated, RMS {terminal.number(row['rms_n'])} N, peak "
             f"{terminal.number(row['peak_n'], '.1f')} N", ("class", "samples", "RMS (N)", "mean (N)"), [
                 (one["class"], one["samples"], one["rms_n"], one["mean_n"])
                 for part in ("by_phase", "by_load", "by_direction") for one in row.get(part, ())])
-    if not figures:
-        yield "No tension was measured: nothing to compare with."
+          for name, row in figures.items()), "" if figures else "No tension was measured: nothing to compare with."])
 
 
 @app.command(example="bowden identify all --serial 3 -o calibration.toml")
@@ -133,14 +112,13 @@ def identify(
     what: Annotated[str, typer.Argument(
         metavar="WHAT", help="stiffness, swing, friction, sensors, gait (on a calibration) or all.")],
     output: Annotated[Path, new_file("File to write.", "a calibration", ".toml")],
-    calibration: Annotated[Path | None, option("Calibration to start from.", "--calibration", metavar="FILE")] = None,
+    calibration: Annotated[Path | None, option("Calibration to start from.", "FILE")] = None,
     recorded: Annotated[list[Path] | None, option(
-        "Fit recorded experiments in place of measuring; repeatable.", "--from", metavar="TRIAL")] = None,
+        "Fit recorded experiments in place of measuring; repeatable.", "TRIAL", "--from")] = None,
     picture: Annotated[Path | None, new_file(
         "Draw the paper's Figs. 9 and 10 (png, svg, pdf).", *options.PICTURE, name="--picture")] = None,
     *, no_gait: Annotated[bool, option(
-        "Leave out the gait trials that end identify all: the calibration has no discrepancy then.",
-        "--no-gait")] = False,
+        "Leave out the gait trials that end identify all: the calibration has no discrepancy then.")] = False,
     rate: options.Rate = None, simulated: SimulatedOptions, reached: Bus, logbook: options.Logbook = None,
     overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
@@ -189,7 +167,6 @@ def _written(found: Sequence[identification.IdentificationResult], output: Path,
         "calibration": None if one.calibration is None else str(files[one.path]), "trial": source,
         "outcome": "completed" if one.reason is None else "stopped", "stop_reason": one.reason,
         **_scalars_json(one.calibration)} for one in found}
-
     lines = (line for one in found for line in _words(one, files[one.path], source))
     return CommandAnswer(objects.get("") or {"paths": objects}, chain(lines, [last]),
                          ending.status_of(found[0].reason))
@@ -207,7 +184,7 @@ def _words(found: identification.IdentificationResult, output: Path, source: str
 def _scalars_json(found: Calibration | None) -> dict[str, Any]:
     """Return `scalars`, those that a trial determined, and `discrepancy`; empty and None without a calibration."""
     beyond = None if found is None else found.discrepancy
-    return {"scalars": {} if found is None else _scalar_rows(found),
+    return {"scalars": {} if found is None else found.determined(),
             "discrepancy": None if beyond is None else {"prior": beyond.prior, "residual": beyond.residual}}
 
 
@@ -215,16 +192,7 @@ def _words_of_scalars(title: str, found: Calibration) -> Words:
     """Yield the scalars with their 95 % intervals, and the discrepancy."""
     yield AnswerTable(title, ("scalar", "unit", "value", "95 % low", "high", "R²"), [
         (name, row["unit"] or "1", *(row[key] for key in ("value", "low", "high", "r_squared")))
-        for name, row in _scalar_rows(found).items()], ".4g")
+        for name, row in found.determined().items()], ".4g")
     if found.discrepancy is not None:
         yield (f"Discrepancy START → END in the gait trials: {100.0 * found.discrepancy.prior:.1f} % of END, its model "
                f"leaves {100.0 * found.discrepancy.residual:.1f} %.")
-
-
-def _scalar_rows(found: Calibration) -> dict[str, dict[str, Any]]:
-    return {
-        name: {"value": getattr(found, name), "unit": declared.unit, "low": proof.low, "high": proof.high,
-               "r_squared": proof.r_squared}
-        for name, _, declared in declarations(type(found))
-        if (proof := found.evidence.get(name)) is not None and proof.trial
-    }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,21 +24,21 @@ app.add_typer(logbook, name="logbook")
 
 Folder = Annotated[Path, argument("DIR", "The logbook's folder.")]
 Files = Annotated[list[Path], argument("FILE…", "Trials (.mcap) or tables (CSV, Parquet, …).")]
-Name = Annotated[str, option("Name of the bench (default: the folder's).", "--name", metavar="TEXT")]
+Name = Annotated[str, option("Name of the bench (default: the folder's).", "TEXT", "--name")]
 References = Annotated[int, option(
-    "First sessions, by date, that are the reference; a change is stated after them.", metavar="COUNT")]
-Most = Annotated[int, option("Newest trials to list.", "--most", metavar="COUNT", min=1)]
-Number = Annotated[int | None, option("Show one trial instead of the bench.", "--trial", metavar="NUMBER")]
+    "First sessions, by date, that are the reference; a change is stated after them.", "COUNT")]
+Most = Annotated[int, option("Newest trials to list.", "COUNT", "--most", min=1)]
+Number = Annotated[int | None, option("Show one trial instead of the bench.", "NUMBER", "--trial")]
 Limits = Annotated[list[str] | None, option(
-    "Forecast when a constant reaches a value, SI; repeatable.", "--limit", metavar="NAME=VALUE")]
+    "Forecast when a constant reaches a value, SI; repeatable.", "NAME=VALUE", "--limit")]
 NewTable = Annotated[Path, new_file("File to write.", "a table", ".csv", ".parquet")]
-Table = Annotated[str, option("trials, sessions, constants, verdicts, notes or models.", metavar="NAME")]
+Table = Annotated[str, option("trials, sessions, constants, verdicts, notes or models.", "NAME")]
 Text = Annotated[str, argument("TEXT", "Maintenance, in words.")]
 Part = Annotated[list[str] | None, option(
-    "Part (cable, fabric, knee, start, end, drive) or constant that is new; repeatable.", metavar="NAME",
+    "Part (cable, fabric, knee, start, end, drive) or constant that is new; repeatable.", "NAME",
     autocompletion=options.completing(lambda: (*bench_state.PARTS, *bench_state.CONSTANTS)))]
-After = Annotated[str | None, option("Session after which it was done (default: the newest by date).", metavar="LABEL")]
-Everything = Annotated[bool, option("All constants, in place of the ten that moved most.", "--all")]
+After = Annotated[str | None, option("Session after which it was done (default: the newest by date).", "LABEL")]
+Everything = Annotated[bool, option("All constants, in place of the ten that moved most.", None, "--all")]
 SHOWN = 10
 """Constants that `show` prints without --all."""
 
@@ -146,20 +145,16 @@ def _of_trial(book: Any, number: int) -> CommandAnswer:
     if not entries:
         raise InputError(f"--trial {number}: is not in the logbook; bowden logbook list shows the numbers.")
     entry, verdicts = entries[0], book.verdicts(number)
-    return CommandAnswer(entry._asdict() | {"verdicts": verdicts}, _words_of_trial(entry, verdicts))
-
-
-def _words_of_trial(entry: database.TrialEntry, verdicts: Sequence[dict[str, Any]]) -> Words:
-    yield f"Trial {entry.id}, session {entry.label}: {entry.path}" + ("" if entry.there else " (not found)")
-    yield (f"  entered {entry.added}; {words.quantity(entry.seconds, 's')} recorded"
-           + ("" if entry.estimated else f"; not fitted: {entry.remark}"))
     figures = {f"{one.text} ({one.unit})": terminal.number(entry.figures[one.name]) for one in signals.FORCE_FIGURES
                if entry.figures.get(one.name) is not None}
-    for name, value in (words.shown(entry.conditions) | {"outcome": entry.outcome} | figures).items():
-        yield f"  {name}: {value}"
-    for verdict in verdicts:
-        yield (f"  verdict of {verdict['made']}: {verdict['verdict']}"
-               + "".join(f", {words.words(name)}" for name in verdict.get("class", ())))
+    about = words.shown(entry.conditions) | {"outcome": entry.outcome} | figures
+    return CommandAnswer(entry._asdict() | {"verdicts": verdicts}, [
+        f"Trial {entry.id}, session {entry.label}: {entry.path}" + ("" if entry.there else " (not found)"),
+        f"  entered {entry.added}; {words.quantity(entry.seconds, 's')} recorded"
+        + ("" if entry.estimated else f"; not fitted: {entry.remark}"),
+        *(f"  {name}: {value}" for name, value in about.items()),
+        *(f"  verdict of {verdict['made']}: {verdict['verdict']}"
+          + "".join(f", {words.words(name)}" for name in verdict.get("class", ())) for verdict in verdicts)])
 
 
 def _words(state: bench_state.BenchState, most: int) -> Words:

@@ -14,7 +14,7 @@ from parameters import InputError
 from parameters.files import write_whole
 
 with on_first_use():
-    from bowden.mending import mended_bench, supervisor
+    from bowden.mending import supervisor
     from bowden.models import diagnosing, experiment_plan, logbook_entries
     from bowden.pages import model_pictures
     from diagnosis.report.headline import law_sentences
@@ -28,9 +28,8 @@ def plan_experiment(
         "TRIAL…", "Trials of one session: a gait, and experiments that were run.")] = None,
     healthy: options.Healthy = None,
     logbook: Annotated[Path | None, option(
-        "Logbook: its newest ambiguous verdict; with TRIAL, its reference trials.", metavar="DIR")] = None,
-    model: Annotated[Path | None, option(
-        "Bench model with effects, TOML: that bench is simulated.", metavar="FILE")] = None,
+        "Logbook: its newest ambiguous verdict; with TRIAL, its reference trials.", "DIR")] = None,
+    model: Annotated[Path | None, option("Bench model with effects, TOML: that bench is simulated.", "FILE")] = None,
     path: options.ForcePath = None,
 ) -> CommandAnswer:
     """Find the shortest experiment that separates the effects of an ambiguity set.
@@ -66,19 +65,7 @@ def _words(found: experiment_plan.ExperimentPlan, good: str) -> Words:
         "experiment", "s", "decides (%)", "with its reference (%)", "least nats"), [
         (one.name, one.seconds, 100.0 * one.sure, 100.0 * one.with_reference, one.nats)
         for one in found.experiments], ".0f")
-    proposed = found.proposed
-    if proposed is None:
-        yield "None of them is likely to decide."
-        yield from (f"By hand: {name}: {text}." for name, text in found.by_hand.items())
-    elif proposed.name == "repeat":
-        yield (f"Run: bowden trial --motion-of {good} -o repeat.mcap, then diagnose it alone, with the same "
-               "--healthy.")
-    else:
-        if proposed.sure < proposed.with_reference:
-            yield ("First, with nothing wrong: bowden trial --experiment "
-                   f"{proposed.name} -o {proposed.name}_good.mcap; give it with --healthy.")
-        yield (f"Run: bowden trial --experiment {proposed.name} -o {proposed.name}.mcap, then diagnose it beside the "
-               "trial.")
+    yield from found.advice(good)
 
 
 @app.command(example="bowden discover trial.mcap --healthy good.mcap -o extended.toml --picture law.png")
@@ -103,41 +90,31 @@ def discover(
                                 "give a trial, and with --healthy one in the reference condition.")
     with terminal.fitting("fitting the reference trials, then the terms"):
         found = diagnosing.discover(trials, healthy, lowpass_hz=lowpass, path=path)
-    written = _write(found, output, picture, promote)
-    return CommandAnswer(found.as_json(), _words_of_law(found, written))
-
-
-def _write(found: diagnosing.DiscoveryResult, output: Path | None, picture: Path | None, promote: Path | None
-           ) -> list[Path]:
-    """Write the requested files; without a law nothing is written."""
-    if not found.terms:
-        return []
-    if output is not None:
-        write_whole(output, found.model.text(), overwrite=True)
-    if picture is not None:
-        model_pictures.draw_law(found.laws, picture)
-    if promote is not None:
-        write_whole(promote, own_effects.promoted(found.terms), overwrite=True)
-    return [path for path in (output, picture, promote) if path is not None]
-
-
-def _words_of_law(found: diagnosing.DiscoveryResult, written: list[Path]) -> Words:
-    yield from map(Paragraph, law_sentences(found.laws))
-    yield AnswerTable("RMS error on cycles that no fit has seen", (
-        "signal", "unit", "reference", "session", "law"), [
-        (name, f.unit, f.rmse_before, f.rmse_session, f.rmse_after) for name, f in found.errors.items()], ".4f")
-    yield from (f"Wrote {path}." for path in written)
+    written = []
+    if found.terms:  # without a law nothing is written
+        written = [path for path in (output, picture, promote) if path is not None]
+        if output is not None:
+            write_whole(output, found.model.text(), overwrite=True)
+        if picture is not None:
+            model_pictures.draw_law(found.laws, picture)
+        if promote is not None:
+            write_whole(promote, own_effects.promoted(found.terms), overwrite=True)
+    return CommandAnswer(found.as_json(), [
+        *map(Paragraph, law_sentences(found.laws)),
+        AnswerTable("RMS error on cycles that no fit has seen", ("signal", "unit", "reference", "session", "law"), [
+            (name, f.unit, f.rmse_before, f.rmse_session, f.rmse_after) for name, f in found.errors.items()], ".4f"),
+        *(f"Wrote {path}." for path in written)])
 
 
 @app.command(example="bowden mend --reference good.mcap --plant-model bench.toml -o night")
 def mend(
     output: Annotated[Path, option(
-        "Folder for trials, journal, extended.toml and mend.html.", "-o", "--output", metavar="DIR")],
+        "Folder for trials, journal, extended.toml and mend.html.", "DIR", "-o", "--output")],
     reference: Annotated[list[Path] | None, option(
-        "Trial of the bench in the reference condition, of bowden trial; repeatable.", metavar="TRIAL")] = None,
-    hours: Annotated[float, option("Bench time after which no trial begins.", metavar="HOURS", min=0.0)] = 1.0,
-    cycles: Annotated[int, option("Gait cycles of each trial.", metavar="COUNT", min=4)] = 10,
-    resume: Annotated[bool, option("Go on with the journal in the folder.", "--resume")] = False,
+        "Trial of the bench in the reference condition, of bowden trial; repeatable.", "TRIAL")] = None,
+    hours: Annotated[float, option("Bench time after which no trial begins.", "HOURS", min=0.0)] = 1.0,
+    cycles: Annotated[int, option("Gait cycles of each trial.", "COUNT", min=4)] = 10,
+    resume: Annotated[bool, option("Go on with the journal in the folder.")] = False,
     *, simulated: SimulatedOptions, reached: BusAlone,
 ) -> CommandAnswer:
     """Repair the model of a bench unattended.
@@ -150,16 +127,11 @@ def mend(
     found = supervisor.mend(reference, output, bus=reached.chosen(simulated), hours=hours, cycles=cycles, resume=resume,
                             progress=terminal.TERMINAL)
     stopped = "stopped" in found.ending or "time is up" in found.ending
-    return CommandAnswer(found.as_json(), _words_of_mended(found),
-                         ending.CTRL_C if found.ending.startswith("interrupted") else int(stopped))
-
-
-def _words_of_mended(found: mended_bench.MendedBench) -> Words:
-    yield from (Paragraph(f"Law: {equation}.") for equation in found.equations)
-    if found.names:
-        yield f"Named: {', '.join(map(words, found.names))}."
-    if found.gain is not None:
-        low, high = found.interval or (float("nan"), float("nan"))
-        yield f"END's error falls by {found.gain:.3g} points of the peak (95 %: {low:.3g} … {high:.3g})."
-    yield f"{found.ending[:1].upper()}{found.ending[1:]}."
-    yield f"Page: {found.folder / 'mend.html'}"
+    low, high = found.interval or (float("nan"), float("nan"))
+    return CommandAnswer(found.as_json(), [
+        *(Paragraph(f"Law: {equation}.") for equation in found.equations),
+        f"Named: {', '.join(map(words, found.names))}." if found.names else "",
+        "" if found.gain is None else
+        f"END's error falls by {found.gain:.3g} points of the peak (95 %: {low:.3g} … {high:.3g}).",
+        f"{found.ending[:1].upper()}{found.ending[1:]}.", f"Page: {found.folder / 'mend.html'}"],
+        ending.CTRL_C if found.ending.startswith("interrupted") else int(stopped))

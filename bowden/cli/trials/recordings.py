@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import sys
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
@@ -12,7 +13,7 @@ from bowden import output_files
 from bowden.bench import configuration
 from bowden.cli import options, terminal
 from bowden.cli.app import NothingGivenError, app
-from bowden.cli.options import argument, new_file, option
+from bowden.cli.options import NewRecording, argument, below, new_file, option, parsed
 from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
 from bowden.deferred import on_first_use
 from bowden.trials import force_paths
@@ -32,19 +33,17 @@ with on_first_use():
     from trial.recover import recover as recovered
     from trial.report import compare_page, trial_page, words
 
-Any_ = Annotated[Path, argument("FILE", "A trial, CAN log, table or MCAP file.")]
 Recording = Annotated[Path, argument("FILE", "MCAP.")]
-NewRecording = Annotated[Path, new_file("File to write.", *options.RECORDING)]
 Several = Annotated[list[Path], argument("FILE…", "MCAP, two or more.")]
-From = Annotated[float | None, option("Begin, s after the first control cycle.", "--from", metavar="S")]
-To = Annotated[float | None, option("End, s after the first control cycle; excluded.", "--to", metavar="S")]
+From = Annotated[float | None, option("Begin, s after the first control cycle.", "S", "--from")]
+To = Annotated[float | None, option("End, s after the first control cycle; excluded.", "S", "--to")]
 Torn = Annotated[Path, argument("FILE", "A torn recording.")]
-Recovered = Annotated[Path, option("File to write.", "-o", "--output", metavar="FILE")]  # checked by `trial.recover`
-Gait = Annotated[str | None, option("Gait cycles A to B in place of times.", metavar="A-B")]
+Recovered = Annotated[Path, option("File to write.", "FILE", "-o", "--output")]  # checked by `trial.recover`
+Gait = Annotated[str | None, option("Gait cycles A to B in place of times.", "A-B")]
 
 
 @app.command(example="bowden info trial.mcap")
-def info(file: Any_) -> CommandAnswer:
+def info(file: Annotated[Path, argument("FILE", "A trial, CAN log, table or MCAP file.")]) -> CommandAnswer:
     """List the contents of a file of any format.
 
     Streams with rates and gaps, columns with units and ranges, who recorded it.
@@ -88,18 +87,15 @@ def cut(file: Recording, output: NewRecording, from_: From = None, to: To = None
         raise InputError("cut: nothing says what to keep; give --from, --to or --gait.")
     if gait is not None and (from_ is not None or to is not None):
         raise InputError("cut: --gait counts gait cycles, --from and --to seconds; give one kind.")
+    cycles = (gait and parsed("--gait", gait, "expected a gait cycle or two, such as 3 or 2-5", _span)) or None
     with terminal.waiting(f"cutting {file}"):
-        found = edit.cut(file, output, from_s=from_ or 0.0, to_s=to, gait=_span(gait), overwrite=True)
+        found = edit.cut(file, output, from_s=from_ or 0.0, to_s=to, gait=cycles, overwrite=True)
     return _written(output, found)
 
 
-def _span(gait: str | None) -> tuple[int, int] | None:
-    if gait is None:
-        return None
+def _span(gait: str) -> tuple[int, int]:
     first, _, last = gait.partition("-")
-    if not (first.isdecimal() and (last or first).isdecimal()) or int(last or first) < int(first):
-        raise InputError(f"--gait {gait}: expected a gait cycle or two, such as 3 or 2-5.")
-    return int(first), int(last or first)
+    return int(first), int(first) + below(sys.maxsize, int(last or first) - int(first))
 
 
 @app.command(
@@ -151,15 +147,14 @@ Source = Annotated[Path, argument(
     "FILE", "csv, tsv, xlsx, tdms, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
 A = Annotated[Path, argument("A", "A recorded trial.")]
 B = Annotated[Path | None, argument("B", "Another trial.")]
-History = Annotated[Path | None, option("In place of B: the bench's own history.", "--logbook", metavar="DIR")]
-Map = Annotated[Path | None, option("map.toml: names, units, offsets of columns.", "--map", metavar="FILE")]
-Sheet = Annotated[str | None, option("Sheet of a workbook (default: the first with a table).", metavar="NAME")]
-Guess = Annotated[bool, option("Write a commented map to -o, guessed from the table, to check.", "--guess")]
-Mat73 = Annotated[bool, option("With .mat: MATLAB v7.3, which is HDF5, in place of v5.", "--mat73")]
-Controllers = Annotated[bool, option("A is the table of a sweep: rank its controllers.", "--controllers")]
-Picture = Annotated[Path | None, new_file(
-    "With --controllers: PNG, SVG or PDF.", *options.PICTURE, name="--picture")]
-Everything = Annotated[bool, option("Every value and signal that differs, in tables.", "--all")]
+History = Annotated[Path | None, option("In place of B: the bench's own history.", "DIR", "--logbook")]
+Map = Annotated[Path | None, option("map.toml: names, units, offsets of columns.", "FILE", "--map")]
+Sheet = Annotated[str | None, option("Sheet of a workbook (default: the first with a table).", "NAME")]
+Guess = Annotated[bool, option("Write a commented map to -o, guessed from the table, to check.")]
+Mat73 = Annotated[bool, option("With .mat: MATLAB v7.3, which is HDF5, in place of v5.")]
+Controllers = Annotated[bool, option("A is the table of a sweep: rank its controllers.")]
+Picture = Annotated[Path | None, new_file("With --controllers: PNG, SVG or PDF.", *options.PICTURE, name="--picture")]
+Everything = Annotated[bool, option("Every value and signal that differs, in tables.", None, "--all")]
 Page = Annotated[Path | None, new_file("Both trials in one HTML page.", *options.PAGE, name="--report")]
 
 
@@ -253,7 +248,7 @@ def compare(
         if report is not None:
             compare_page.write(one, other, found, report, overwrite=True)
     return CommandAnswer(found.as_json(), chain(
-        _figures(one, other), _words_of_everything(found) if everything else _words(found),
+        _figures(one, other), _words_of_everything(found) if everything else compare_page.sentences(found),
         [f"Page: {report}" if report else ""]), 0 if found.same else 1)
 
 
@@ -273,12 +268,11 @@ def _rank_controllers(table: Path, other: Path | None, picture: Path | None) -> 
     found = summary.ranked(rows)
     if picture is not None:
         summary.draw_ranking(rows, picture)
-    number = terminal.number
     return CommandAnswer({"table": str(table), "controllers": [one._asdict() for one in found]}, [
         AnswerTable("controllers, by the median of END's error over their trials", (
             "controller", "completed", "error (%)", "least … worst", "idle (N)", "jump (N)"), [
             (one.controller, f"{one.completed} of {one.trials}", one.error_percent,
-             f"{number(one.least)} … {number(one.worst)}", one.idle_n, one.jump_n) for one in found]),
+             f"{terminal.number(one.least)} … {terminal.number(one.worst)}", one.idle_n, one.jump_n) for one in found]),
         *(f"{one.controller}: {count} not completed: {reason}"
           for one in found for reason, count in one.stopped.items()),
         f"Picture: {picture}" if picture else ""],
@@ -296,7 +290,6 @@ def _against_history(trial: Path, logbook: Path | None, report: Path | None) -> 
         raise InputError("--report shows two trials; leave it out with --logbook, or say bowden logbook report.")
     with terminal.waiting("fitting"):
         found = logbook_entries.against_history(logbook, trial)
-
     rows = sorted(found["constants"].items(), key=lambda row: -abs(row[1]["scatters"]))
     return CommandAnswer(found, [
         AnswerTable(f"{trial} against {found['sessions']} sessions, farthest first", (
@@ -305,42 +298,6 @@ def _against_history(trial: Path, logbook: Path | None, report: Path | None) -> 
              row["scatters"]) for name, row in rows[:10]]),
         f"Probability that a healthy session departs as far: {found['probability']:.2g}."],
         1 if found["probability"] < RARE else 0)
-
-
-SHOWN = 4  # keys of a line
-
-
-def _words(found: comparing.TrialComparison) -> Words:
-    """Yield what differs in at most five lines; values of attached files are counted."""
-    if found.same:
-        yield "The same, in every channel."
-    ended = {row.key: row for row in found.result}
-    changed = [row for row in found.metadata if row.key not in HASHES]
-    if changed:
-        more = f"; and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
-        yield f"Set up differently: {'; '.join(map(_change, changed[:SHOWN]))}{more}."
-    if "outcome" in ended and ended["outcome"].a != ended["outcome"].b:
-        yield f"Ended: {_change(ended.get('stop_reason', ended['outcome']))}."
-    if found.attachments:
-        yield "Attached files that differ: " + ", ".join(
-            f"{name} ({len(rows)} value{'' if len(rows) == 1 else 's'})" for name, rows in found.attachments.items()
-            ) + "."
-    forces = [row for row in found.signals if row.name in COMPARED and row.rms > 0]
-    if forces:
-        yield f"A − B, {found.matched}: " + "; ".join(
-            f"{row.name} {row.rms:.3g} {row.unit} RMS, at most {row.largest:.3g} at {row.largest_at_s:.3g} s"
-            for row in forces) + "."
-    if changed or found.attachments or not found.same:
-        yield "All of it: --all, or --report page.html."
-
-
-COMPARED = ("tension_end_n", "tension_start_n", "servo_position_m", "knee_angle_rad")
-HASHES = ("commit", "calibration_digest", "packages", "limits_digest")
-
-
-def _change(row: comparing.FieldDifference) -> str:
-    a, b = ("–" if value is None else str(words.plain(row.key, value))[:60] for value in (row.a, row.b))
-    return f"{row.key.replace('_', ' ')} {a} in A, {b} in B"
 
 
 def _words_of_everything(found: comparing.TrialComparison) -> Words:

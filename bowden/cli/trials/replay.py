@@ -11,7 +11,7 @@ import typer
 from bowden.bench import buses
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.options import BusAlone, SimulatedOptions, new_file, option
+from bowden.cli.options import BusAlone, SimulatedOptions, below, new_file, option, parsed
 from bowden.cli.terminal import AnswerTable, CommandAnswer
 from bowden.deferred import on_first_use
 from bowden.trials import force_paths
@@ -40,23 +40,22 @@ TAKES = {
 @app.command(example="bowden replay trial.mcap --onto controller")
 def replay(
     context: typer.Context, trial: options.Trial,
-    onto: Annotated[str, option("bus, controller or plant.", metavar="WHERE", show_default=False)],
-    speed: Annotated[float, option("bus: speed, recorded time by playing time.", metavar="X")] = 1.0,
-    loop: Annotated[int, option("bus: number of passes.", "--loop", metavar="N")] = 1,
-    from_: Annotated[float, option("bus: begin there, nodes and PDOs restored first.", "--from", metavar="S")] = 0.0,
-    to: Annotated[float | None, option("bus: end there.", "--to", metavar="S")] = None,
-    step: Annotated[bool, option("bus: one frame for each line of standard input.", "--step")] = False,
+    onto: Annotated[str, option("bus, controller or plant.", "WHERE", show_default=False)],
+    speed: Annotated[float, option("bus: speed, recorded time by playing time.", "X")] = 1.0,
+    loop: Annotated[int, option("bus: number of passes.", "N")] = 1,
+    from_: Annotated[float, option("bus: begin there, nodes and PDOs restored first.", "S", "--from")] = 0.0,
+    to: Annotated[float | None, option("bus: end there.", "S")] = None,
+    step: Annotated[bool, option("bus: one frame for each line of standard input.")] = False,
     node: Annotated[list[int] | None, option(
-        "bus: frames of this node only, 0 for NMT and SYNC; repeatable.", metavar="NODE")] = None,
+        "bus: frames of this node only, 0 for NMT and SYNC; repeatable.", "NODE")] = None,
     cob_id: Annotated[list[str] | None, option(
-        "bus: frames with this COB-ID only, such as 0x181; repeatable.", metavar="ID")] = None,
+        "bus: frames with this COB-ID only, such as 0x181; repeatable.", "ID")] = None,
     direction: Annotated[str | None, option(
-        "bus: rx (received by the recorder), tx (sent by it) or both; tx on the simulated bench.",
-        metavar="WAY")] = None,
-    map_: Annotated[list[str] | None, option("bus: recorded channel → channel.", "--map", metavar="N=CHANNEL")] = None,
-    nodes_only: Annotated[bool, option("bus: the nodes' frames, answering a live master.", "--nodes-only")] = False,
+        "bus: rx (received by the recorder), tx (sent by it) or both; tx on the simulated bench.", "WAY")] = None,
+    map_: Annotated[list[str] | None, option("bus: recorded channel → channel.", "N=CHANNEL", "--map")] = None,
+    nodes_only: Annotated[bool, option("bus: the nodes' frames, answering a live master.")] = False,
     allow_controller: Annotated[str | None, option(
-        "controller: import this class, which the trial names.", "--allow-controller", metavar="MODULE:CLASS")] = None,
+        "controller: import this class, which the trial names.", "MODULE:CLASS")] = None,
     path: options.ForcePath = None, *, reached: BusAlone, simulated: SimulatedOptions,
     output: Annotated[Path | None, new_file("plant: residuals, MCAP.", "residuals", ".mcap")] = None,
 ) -> CommandAnswer:
@@ -80,14 +79,15 @@ def replay(
     channels = onto_bus.channel_map(map_)
     by_default = direction is None and reached.interface is None and not channels
     if by_default:
-        direction = _sent(given)
-    selection = player.Selection(
-        frozenset(node or ()), frozenset(map(_cob_id, cob_id or ())), direction, frozenset(channels), from_, to)
+        direction = onto_bus.own_direction(given)
+    identifiers = frozenset(parsed("--cob-id", one, "expected a CAN identifier; write for instance --cob-id 0x181",
+                                   lambda text: below(1 << 29, int(text, 0))) for one in cob_id or ())
+    selection = player.Selection(frozenset(node or ()), identifiers, direction, frozenset(channels), from_, to)
     with onto_bus.opened(
             given, selection, buses.rated(chosen, reached.bitrate or network.bitrate, network), channels,
             speed=speed, loops=loop) as playing:
-        if by_default and not terminal.quiet():
-            terminal.remark("Plays what the recorder sent onto the simulated bench, whose nodes send their own frames; "
+        if by_default:
+            terminal.notice("Plays what the recorder sent onto the simulated bench, whose nodes send their own frames; "
                             "--direction both plays all.")
         if step:
             _step(playing)
@@ -97,24 +97,10 @@ def replay(
         return _played(given, playing.played())
 
 
-def _sent(recorded: Trial) -> str:
-    """Return the direction to play onto the simulated bench, whose nodes send their own frames: tx.
-
-    Raises `InputError` if the recorder sent nothing.
-    """
-    frames = recorded.frames
-    if len(frames) and not frames["sent"].any():
-        raise InputError(f"{recorded.path}: holds no frame that its recorder sent, only received ones, and the nodes "
-                         "of the simulated bench send their own; give --interface and --channel of another bus, "
-                         "--nodes-only, or --direction both.")
-    return "tx"
-
-
 def _controller(recorded: Trial, allowed: str | None) -> CommandAnswer:
     chosen = recordings.experiment(recorded, allowed=allowed)
     with terminal.progress("controller") as update:
         found = onto_controller.replay(recorded, chosen, update)
-
     lines = [f"Controller {found.controller}: {found.rows} steps and {found.frames} frames of targets compared."]
     if recorded.recovered is not None:
         whole = onto_controller.whole_rows(recorded)
@@ -151,7 +137,6 @@ def _plant(recorded: Trial, chosen: buses.BusSettings, output: Path | None) -> C
 
 def _nodes(recorded: Trial, chosen: buses.BusSettings, bitrate: int) -> CommandAnswer:
     found = onto_master.replay(recorded, chosen, bitrate, progress=terminal.TERMINAL)
-
     return _compared(recorded, {"onto": "bus", "nodes_only": True}, found, [
         f"{found.frames} frames of the master compared, {found.beyond} after the recording's end; times differ by "
         f"{found.timing_max_us:.1f} µs at most."], (
@@ -161,8 +146,7 @@ def _nodes(recorded: Trial, chosen: buses.BusSettings, bitrate: int) -> CommandA
 
 def _step(playing: onto_bus.Playing) -> None:
     """Read one line of standard input at a time."""
-    if not terminal.quiet():
-        terminal.remark(HELP)
+    terminal.notice(HELP)
     for line in sys.stdin:
         word = line.strip()
         if word == "pause":
@@ -171,7 +155,10 @@ def _step(playing: onto_bus.Playing) -> None:
         if word == "play":
             playing.run()
         elif word:
-            playing.seek(_position(word))
+            try:
+                playing.seek(round(float(word) * 1e9))
+            except (ValueError, OverflowError):
+                raise InputError(f"{word!r} is no command; {HELP}") from None
         else:
             frame = playing.step()
             if frame is not None and not terminal.quiet():
@@ -180,18 +167,11 @@ def _step(playing: onto_bus.Playing) -> None:
             break
 
 
-def _position(word: str) -> int:
-    try:
-        return round(float(word) * 1e9)
-    except (ValueError, OverflowError):
-        raise InputError(f"{word!r} is no command; {HELP}") from None
-
-
 def _played(recorded: Trial, played: onto_bus.PlaybackResult) -> CommandAnswer:
     """Return the figures of a replay; status 1 if the bus refused some frames."""
     result = {"trial": str(recorded.path), "onto": "bus", **played.as_json()}
-    if played.lost and not terminal.quiet():
-        terminal.remark(LOST)
+    if played.lost:
+        terminal.notice(LOST)
     return CommandAnswer(result, [
         f"{played.frames} frames in {played.passes} passes, {played.lost} not taken by the bus; "
         f"{played.restored} restored what was before.",
@@ -210,13 +190,3 @@ def _refuse_others(context: typer.Context, onto: str) -> None:
         given = source is not None and source.name == "COMMANDLINE"
         if given and option not in TAKES[onto] | {"trial", "onto", "nodes_only", "json"}:
             raise InputError(f"--{option.replace('_', '-')} means nothing to --onto {onto}; leave it out.")
-
-
-def _cob_id(text: str) -> int:
-    try:
-        number = int(text, 0)
-    except ValueError:
-        number = -1
-    if not 0 <= number < 1 << 29:
-        raise InputError(f"--cob-id {text}: expected a CAN identifier; write for instance --cob-id 0x181.")
-    return number

@@ -1,8 +1,7 @@
 """`bowden sweep`: many trials of simulated benches, one table."""
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -10,7 +9,7 @@ from bowden.bench import configuration
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.options import option
-from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
+from bowden.cli.terminal import AnswerTable, CommandAnswer
 from bowden.deferred import on_first_use
 from parameters import InputError
 
@@ -23,21 +22,20 @@ with on_first_use():
 
 @app.command(example="bowden sweep --grid peak=40,50,60 --grid serial=1-20 --identify --grid day=1 -o table.csv")
 def sweep(
-    output: Annotated[Path, option("Table, .csv or .parquet; continued.", "-o", "--output", metavar="FILE")],
+    output: Annotated[Path, option("Table, .csv or .parquet; continued.", "FILE", "-o", "--output")],
     grid: Annotated[list[str] | None, option(
         "Values of an option of bowden trial, or of table.key of bench.toml or of the plant; 1-20 for whole numbers. "
-        "Repeatable.", "--grid", metavar="NAME=V,V…")] = None,
+        "Repeatable.", "NAME=V,V…", "--grid")] = None,
     draw: Annotated[list[str] | None, option(
-        "A number drawn at random. Repeatable.", "--draw", metavar="NAME=LOW:HIGH[:log]")] = None,
-    draws: Annotated[int, option("Random draws for each point of the grid.", metavar="COUNT")] = 1,
-    draw_seed: Annotated[int, option("Seed of the draws.", metavar="NUMBER")] = 0,
-    identify: Annotated[bool, option("Identify each bench on its day 0 first.", "--identify")] = False,
+        "A number drawn at random. Repeatable.", "NAME=LOW:HIGH[:log]", "--draw")] = None,
+    draws: Annotated[int, option("Random draws for each point of the grid.", "COUNT")] = 1,
+    draw_seed: Annotated[int, option("Seed of the draws.", "NUMBER")] = 0,
+    identify: Annotated[bool, option("Identify each bench on its day 0 first.")] = False,
     calibration: options.Calibration = None, knee: options.Knee = None, desired: options.Desired = None,
     config: options.Config = None,
-    keep: Annotated[Path | None, option("Keep the recordings there (default: none is kept).", metavar="DIR")] = None,
-    workers: Annotated[int | None, option(
-        "Processes (default: one a processor).", "--workers", metavar="COUNT")] = None,
-    scheduler: Annotated[str | None, option("Dask scheduler to run on, host:port.", metavar="ADDRESS")] = None,
+    keep: Annotated[Path | None, option("Keep the recordings there (default: none is kept).", "DIR")] = None,
+    workers: Annotated[int | None, option("Processes (default: one a processor).", "COUNT")] = None,
+    scheduler: Annotated[str | None, option("Dask scheduler to run on, host:port.", "ADDRESS")] = None,
     overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
     """Run trials over grids and random draws of any value. One row a trial; a partial table is continued."""
@@ -68,34 +66,12 @@ def sweep(
     cells = summary.cells(found, [name for name, _ in axes])
     failed = len(found) - summary.completed(found)
     figures = summary.spreads(found)
-
     return CommandAnswer(
         {"table": str(output), "trials": len(rows), "resumed": resumed, "not_completed": failed,
          "figures": {name: one._asdict() for name, one in figures.items()}, "cells": cells}, [
             *([AnswerTable("over the trials that completed", ("figure", "median", "least", "greatest", "in row"), [
                 (summary.FIGURES[name], one.median, one.least, one.greatest, one.worst_row)
                 for name, one in figures.items()])] if figures else []),
-            *_words_of_cells(cells),
+            *summary.cell_lines(cells),
             f"{output}: {len(rows)} trials, {resumed} of them from before, {failed} not completed."],
         1 if failed else 0)
-
-
-MOST_CELLS = 200
-"""Cells of the grid that the terminal shows at the most."""
-
-
-def _words_of_cells(cells: Sequence[Mapping[str, Any]]) -> Words:
-    """Yield a line for each cell of the grid, and below it why its trials stopped."""
-    if len(cells) < 2:
-        return
-    names = [name for name in summary.FIGURES if any(name in cell["median"] for cell in cells)][:3]
-    yield "By cell of the grid" + (
-        f", medians of: {'; '.join(summary.FIGURES[name] for name in names)}" if names else "")
-    for cell in cells[:MOST_CELLS]:
-        where = ", ".join(f"{name.partition('.')[2]} = {value}" for name, value in cell["cell"].items()
-                          if value != "")
-        figures = "".join(f", {terminal.number(cell['median'].get(name))}" for name in names)
-        yield f"  {where}: {cell['completed']} of {cell['trials']} completed{figures}"
-        yield from (f"    {count} not completed: {reason}" for reason, count in cell["stopped"].items())
-    if len(cells) > MOST_CELLS:
-        yield f"  and {len(cells) - MOST_CELLS} more cells, in the table."

@@ -34,18 +34,17 @@ def trial(
     walk: WalkOptions, strides: StrideOptions, knee: options.Knee = None, desired: options.Desired = None,
     calibration: options.Calibration = None,
     controller_model: Annotated[Path | None, option(
-        "Bench model whose effects the controller compensates.", metavar="FILE")] = None,
+        "Bench model whose effects the controller compensates.", "FILE")] = None,
     experiment: Annotated[str | None, option(
         f"Experiment in place of the gait, to separate effects: {', '.join(SCRIPTED)}; or repeat, with --motion-of.",
-        metavar="NAME", autocompletion=options.experiments)] = None,
+        "NAME", autocompletion=options.experiments)] = None,
     motion_of: Annotated[Path | None, option(
         "Repeat the rope and knee motion of this recorded trial, with its gait and settings (--experiment repeat).",
-        metavar="FILE")] = None,
-    dry_run: Annotated[bool, option("Everything on the bus, drives never enabled.", "--dry-run")] = False,
+        "FILE")] = None,
+    dry_run: Annotated[bool, option("Everything on the bus, drives never enabled.")] = False,
     homing_n: options.HomingForce = None, *, rate: options.Rate = None, simulated: SimulatedOptions, reached: Bus,
     monitor: options.SafetyMonitor = None, picture: options.Picture = None,
-    web: Annotated[str | None, option(
-        "Live page with a stop button; port 0: a free one.", metavar="[HOST:]PORT")] = None,
+    web: Annotated[str | None, option("Live page with a stop button; port 0: a free one.", "[HOST:]PORT")] = None,
     logbook: options.Logbook = None, label: options.Session = None, watched: WatchOptions,
     overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
@@ -81,7 +80,6 @@ def trial(
         with terminal.waiting("entering the trial in the logbook"):
             result["logbook"] = logbook_entries.entered(
                 entered, Path(result["trial"]), label, result)
-
     return CommandAnswer(
         result, _words(result, picture, chosen.in_words, entered, dry_run=dry_run,
                        with_end=sections["network"].bench.measures_end),
@@ -101,7 +99,7 @@ def _performed(prepared: session.PreparedTrial, network: Any, output: Path, pict
             for watch in watches.values():
                 watch.show = page.suspected
         result = session.perform(
-            prepared, output, picture, overwrite=overwrite, announce="" if terminal.quiet() else _where(chosen),
+            prepared, output, picture, overwrite=overwrite, announce="" if terminal.quiet() else chosen.announced(),
             progress=terminal.Terminal(shown=not watches),
             watch=[*([] if page is None else [page]), *watches.values()])
         for watch in watches.values():
@@ -111,14 +109,6 @@ def _performed(prepared: session.PreparedTrial, network: Any, output: Path, pict
             found = {path: watch.as_json() for path, watch in watches.items()}
             result["watch"] = found.get("", {"paths": found})
     return result
-
-
-def _where(chosen: buses.BusSettings) -> str:
-    """Describe the bench, simulated or real, for the remark before anything moves."""
-    if chosen.simulated:
-        told = ", ".join(f"{name} {chosen.arguments[name]}" for name in ("serial", "day", "seed", "plant"))
-        return f"SIMULATED bench, {told}; --interface names a real bus."
-    return f"bench on {chosen.in_words}."
 
 
 def _words(result: dict[str, Any], picture: Path | None, bus: str, logbook: Path | None, *, dry_run: bool,
@@ -187,7 +177,7 @@ def _tables(result: dict[str, Any], *, dry_run: bool) -> Words:
 def verify(
     model: Annotated[Path, argument("EXTENDED", "extended.toml of bowden diagnose -o.")],
     output: Annotated[Path, option(
-        "Trials to write: FILE with -before and -after before its suffix.", "-o", "--output", metavar="FILE")],
+        "Trials to write: FILE with -before and -after before its suffix.", "FILE", "-o", "--output")],
     walk: WalkOptions, rate: options.Rate = None, calibration: options.Calibration = None, *,
     simulated: SimulatedOptions, reached: Bus, path: options.ForcePath = None, overwrite: options.Overwrite = False,
 ) -> CommandAnswer:
@@ -218,20 +208,17 @@ def verify(
     extended = prepared["after"].paths.get(path or "", prepared["after"].experiment)
     figures = {name: one | one.get("paths", {}).get(path, {}) for name, one in figures.items()}
     judged, gain = experiments.gained(figures["before"], figures["after"])
-    result = {"controller_model": str(model), "effects": {name: dict(of) for name, of in extended.known.items()},
-              "terms": [term.equation for term in extended.terms], "judged_by": judged, "gain_percent": gain, **figures}
-    return CommandAnswer(result, _words_of_verified(result, figures),
-                         max(ending.status_of(one["stop_reason"]) for one in figures.values()))
-
-
-def _words_of_verified(result: dict[str, Any], figures: dict[str, dict[str, Any]]) -> Words:
-    true = result["judged_by"].startswith("true_")
+    result: dict[str, Any] = {
+        "controller_model": str(model), "effects": {name: dict(of) for name, of in extended.known.items()},
+        "terms": [term.equation for term in extended.terms], "judged_by": judged, "gain_percent": gain, **figures}
+    true = judged.startswith("true_")
     changes = ", ".join([*result["effects"], *result["terms"]]) or "no effect"
-    yield AnswerTable(
-        f"{changes}: END {'true' if true else 'by its sensor'}, controller {figures['after']['controller']}",
-        ("END", "uncompensated", "compensated"), [
-            (f"{one.text} ({one.unit})", *(figures[name]["true_" * true + one.name] for name in ("before", "after")))
-            for one in signals.FORCE_FIGURES])
-    yield f"Gain in relative RMSE: {terminal.number(result['gain_percent'], '.1f')} %"
-    for name, one in figures.items():
-        yield f"Trial {name}: {one['trial']}" + (f", stopped: {one['stop_reason']}" if one["stop_reason"] else "")
+    return CommandAnswer(result, [
+        AnswerTable(
+            f"{changes}: END {'true' if true else 'by its sensor'}, controller {figures['after']['controller']}",
+            ("END", "uncompensated", "compensated"), [
+                (f"{one.text} ({one.unit})", *(found["true_" * true + one.name] for found in figures.values()))
+                for one in signals.FORCE_FIGURES]),
+        f"Gain in relative RMSE: {terminal.number(gain, '.1f')} %",
+        *(f"Trial {name}: {one['trial']}" + (f", stopped: {one['stop_reason']}" if one["stop_reason"] else "")
+          for name, one in figures.items())], max(ending.status_of(one["stop_reason"]) for one in figures.values()))
