@@ -53,7 +53,7 @@ faults: $(VENV)/.installed-test
 
 healthy: $(VENV)/.installed-test
 	@mkdir -p out
-	$(BIN)/python -m benchmarks.supervision --cost --healthy 500 --monitored 500 --kept out/healthy.jsonl --table docs/healthy.csv
+	$(BIN)/python -m benchmarks.supervision --healthy 500 --monitored 500 --kept out/healthy.jsonl --table docs/healthy.csv
 	$(BIN)/python -m benchmarks.supervision --page
 
 fuzz: $(VENV)/.installed-test

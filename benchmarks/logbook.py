@@ -1,10 +1,7 @@
-"""Alarms, dates and names of a logbook on recorded sessions; cost of a logbook of 100,000 trials.
+"""Alarms, dates and names of a logbook on recorded sessions, without a change and with one.
 
-Commands:
-
-    python -m benchmarks.logbook            cost of each operation
     python -m benchmarks.logbook --recorded DIR [--kinds NAMES] [--serials 0,1] [--healthy 20] [--sessions 8]
-                                 [--changes NAMES]      alarms without a change; changes stated, dated and named
+                                 [--changes NAMES]
 
 Serials with serial % 3 == 2 are set aside: nothing is tuned on them (`tests.plants.draws`).  A session is six gait
 cycles, recorded once into DIR and entered as `bowden logbook add` does.  The constants of a session are drawn anew
@@ -15,9 +12,7 @@ session `BEGINS`; the sessions before it are the bench's own without a change, f
 import argparse
 import math
 import shutil
-import sqlite3
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -29,10 +24,9 @@ from bowden.bench import buses, configuration
 from bowden.models import logbook_entries
 from bowden.models.logbook_entries import diagnosed_state
 from bowden.trials import session as trials
-from estimation.linear_sums import SessionSums
-from logbook import bench_page, database
-from logbook.bench_state import BenchState, averaged_nats, state_of
-from logbook.database import NewTrial, open_logbook
+from logbook import database
+from logbook.bench_state import BenchState, averaged_nats
+from logbook.database import open_logbook
 from tests.hidden.family import like
 from tests.plants import draws, imposed
 from tests.plants.bench import IMPLEMENTATIONS, Bench, replaced
@@ -123,9 +117,6 @@ def _run(path: Path, serial: int, session: int, effects: Mapping[str, Mapping[st
         raise RuntimeError(f"{path}: {result['stop_reason']}")
 
 
-TRIALS, PER_SESSION = 100_000, 10
-
-
 class Outcome(NamedTuple):
     """A logbook's answer on one bench: log Bayes factor of a change, nats, whether it is stated, its first session, its
     effects and the part of the bench."""
@@ -145,16 +136,13 @@ class Outcome(NamedTuple):
 def main() -> None:
     """Print the measurements that the arguments name."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--recorded", type=Path, metavar="DIR", help="folder of the recorded sessions")
+    parser.add_argument("--recorded", type=Path, metavar="DIR", required=True, help="folder of the recorded sessions")
     parser.add_argument("--kinds", default=",".join(KINDS), help="methods of the family and the packaged plant")
     parser.add_argument("--serials", default="0", help="serials of each kind, with commas")
     parser.add_argument("--healthy", type=int, default=20, help="sessions of a bench without a change")
     parser.add_argument("--sessions", type=int, default=8, help="changed sessions of a bench with a change")
     parser.add_argument("--changes", default=",".join(CHANGES), help="changes, with commas")
     given = parser.parse_args()
-    if given.recorded is None:
-        performance()
-        return
     benches = [(kind, int(serial)) for serial in given.serials.split(",") for kind in given.kinds.split(",")]
     names = [name for name in given.changes.split(",") if name]
     found: dict[str | None, list[Outcome]] = {name: [] for name in (None, *names)}
@@ -195,63 +183,6 @@ def _outcome(state: BenchState) -> Outcome:
     if not state.alarms:
         return Outcome(nats, False, None, (), None)
     return Outcome(nats, True, state.labels.get(state.alarms[0].since), state.named(), state.caused()["part"])
-
-
-def performance() -> None:
-    """Print the seconds of each operation on a logbook of `TRIALS` trials."""
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place) / "book"
-        database.create(folder, "large")
-        _filled(folder)
-        with open_logbook(folder) as book:
-            found = next(iter(book.sums(1, [1]).values()))
-
-        def add(k: int = 0) -> None:
-            with open_logbook(folder) as book:
-                number, _ = book.enter_trial(_trial(TRIALS + k), f"day {TRIALS // PER_SESSION}")
-                book.enter_sums(number, 1, found)
-
-        def listed() -> None:
-            with open_logbook(folder) as book:
-                book.counts()
-                book.trials(20)
-
-        def report() -> None:
-            with open_logbook(folder) as book:
-                bench_page.write(book, state_of(book), Path(place) / "page.html")
-
-        for name, run, goal in (("add, beside the fit", add, 0.2), ("list", listed, 2.0), ("report", report, 2.0)):
-            began = time.perf_counter()
-            run()
-            print(f"{name:24} {time.perf_counter() - began:7.3f} s   (goal {goal} s)")
-        print(f"{'database':24} {(folder / database.FILE).stat().st_size / 1e6:7.0f} MB, {TRIALS} trials")
-
-
-def _trial(k: int) -> NewTrial:
-    return NewTrial(Path(f"{k}.mcap"), f"digest {k}", "gait", "completed", 20.0, {"peak_n": "40.0", "rate_hz": "1000"},
-                    {"relative_rmse_percent": 1.0}, "commit")
-
-
-def _filled(folder: Path) -> None:
-    """Fill a logbook in one transaction with the sums of a recorded session; what entries cost is measured afterwards.
-    """
-    recorded = folder.parent / "recorded"
-    logbook_entries.add(folder, {record(recorded, KINDS[0], 0, 0): "0"})
-    with open_logbook(folder) as book:
-        sums: SessionSums = next(iter(book.sums(1, [1]).values()))
-    upper = sums.sums.square[np.triu_indices(sums.sums.pull.size)].tobytes()
-    db = sqlite3.connect(folder / database.FILE)
-    db.executemany("INSERT INTO session VALUES (?, ?, '2026', ?)", (
-        (k + 1, f"day {k}", float(k)) for k in range(1, TRIALS // PER_SESSION)))
-    one = _trial(0)
-    db.executemany("INSERT INTO trial VALUES (?, ?, ?, ?, '2026', 'gait', 'completed', 20.0, ?, ?, 'commit')", (
-        (k + 1, k // PER_SESSION + 1, f"digest {k}", f"{k}.mcap", str(one.conditions).replace("'", '"'),
-         str(one.figures).replace("'", '"')) for k in range(1, TRIALS)))
-    db.executemany("INSERT INTO estimate VALUES (?, 1, '', ?, ?, ?, 0.1)", (
-        (k + 1, upper, sums.sums.pull.tobytes(), sums.growth.tobytes())
-        for k in range(PER_SESSION, TRIALS, PER_SESSION) if k > TRIALS - 100 * PER_SESSION))
-    db.commit()
-    db.close()
 
 
 if __name__ == "__main__":

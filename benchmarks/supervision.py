@@ -1,6 +1,6 @@
-"""Cost of the checks of a control cycle, and false alarms in healthy trials: `python -m benchmarks.supervision`.
+"""False alarms of a control cycle's checks in healthy trials: `python -m benchmarks.supervision`.
 
-`--cost` prints the time of the checks by themselves (median of batches); `--healthy N` runs N trials over serials,
+`--healthy N` runs N trials over serials,
 days, peaks, periods, rates and controllers.  Half of them are on the bench's own plant, a quarter on the structures
 of `tests/hidden`, a quarter on the family of `tests/plants`.  It prints how many were stopped, by which check, and how
 near to its tolerance each relation came.  All start from the packaged calibration, which is another bench's.  One that
@@ -24,7 +24,6 @@ import multiprocessing
 import re
 import sys
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -247,23 +246,6 @@ def person_of(peak_n: float, period_s: float, folder: Path) -> Path:
     return path
 
 
-def cost() -> None:
-    """Print the time of one cycle's checks."""
-    plausibility.prepare()
-    checked = plausibility.Plausibility(1e-3)
-    checked.begin_learning(0.04, -0.5, 3.7e-5)
-    rng = np.random.default_rng(0)
-    rows = [(float(a), float(b), float(c)) for a, b, c in rng.normal(size=(20_000, 3)) * (1e-5, 1e-4, 0.1)]
-    batches = []
-    for _ in range(15):
-        began = time.perf_counter()
-        for x, knee, noise in rows:
-            checked.check(0.0, (0.01, -0.5), 0.01 + x, 20.0 + noise, -0.5 + knee, 20.0 + noise, 18.0 - noise)
-        batches.append((time.perf_counter() - began) / len(rows))
-    print(f"plausibility of one cycle: {1e6 * sorted(batches)[len(batches) // 2]:.2f} µs "
-          f"(of a period of 1000 µs at 1 kHz, and of the master's compute budget of 100 µs)")
-
-
 def write(path: Path, whole: list[Ended]) -> None:
     """Write the largest share of its bound that each check reached, and in how many trials, as a table file."""
     shares = [*np.max([ended.ratios for ended in whole], axis=0), *np.max([ended.compared for ended in whole], axis=0)]
@@ -366,8 +348,7 @@ def tail(greatest: Any) -> tuple[float, float, float]:
 def main() -> int:
     """Run the measurements that the arguments name."""
     asked = argparse.ArgumentParser(description=__doc__)
-    asked.add_argument("--cost", action="store_true")
-    asked.add_argument("--healthy", type=int, default=0, metavar="N")
+    asked.add_argument("--healthy", type=int, default=500, metavar="N")
     asked.add_argument("--first", type=int, default=0, help="number of the first trial; trials are drawn by number")
     asked.add_argument("--cycles", type=int, default=CYCLES)
     asked.add_argument("--monitored", type=int, default=0, metavar="N", help="the first N trials have a safety monitor")
@@ -379,9 +360,7 @@ def main() -> int:
     if given.page:
         put(DOCS / "safety.md", "checks", table())
         return 0
-    if given.cost or not given.healthy:
-        cost()
-    return int(bool(given.healthy and healthy(
+    return int(bool(healthy(
         given.healthy, given.first, given.jobs, given.cycles, given.monitored, given.kept, given.table)))
 
 
