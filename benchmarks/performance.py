@@ -1,4 +1,4 @@
-"""Table of docs/performance.md: processor time of an operation here and of the usual library, and their ratio.
+"""Processor time of operations of this package and of the usual library for each, and their ratio: docs/performance.md.
 
     python -m benchmarks.performance                     # `make bench`: prints the table and writes it into the page
     python -m benchmarks.performance --rows cycle pdo    # these rows alone, printed

@@ -129,7 +129,7 @@ def jobs(count: int, cycles: int) -> Iterator[Job]:
 
 
 def family(place: int, day: int | None = None) -> dict[str, Any]:
-    """Return the bus options of a bench of the family, of those serials that are not set aside."""
+    """Return the bus options of bench number `place` of the family; serials that are set aside are not counted."""
     serial = place // 2 * 3 + place % 2
     return {"serial": 0, "plant": stack.plant_name(serial, place % DAYS if day is None else day),
             "plant_model": stack.plant_model(serial)}
@@ -230,7 +230,7 @@ def walked(job: Job, calibration: Any, person: Path | None = None, recording: Pa
 
 
 def person_of(peak_n: float, period_s: float, folder: Path) -> Path:
-    """Write a person's file for another peak and gait than the packaged: forces by the peak, speed by the period."""
+    """Write the packaged person's file with bounds scaled to another gait: forces by the peak, speeds by the period."""
     by = peak_n / 40.0
     text = safety_monitor.packaged().read_text(encoding="utf-8")
     for key, factor in {"start_n": by, "end_n": by, "force_rate_n_s": max(1.0, by) * max(1.0, 1.1 / period_s),

@@ -1,17 +1,18 @@
 """Evidence of each effect while a trial runs, updated by gait cycle: one linear Gaussian model with closed forms.
 
-Each gait cycle is linearised at the present null mode; with base coordinates x (constants and discrepancy), effect
-sizes s ~ N(0, 1) along the columns E and the sums over cycles A = ΣHᵀWH, B = ΣHᵀWE, C = ΣEᵀWE, b = ΣHᵀWe, d = ΣEᵀWe:
+The model of a gait cycle is e = Hx + Es + noise.  e is the residual of the data at the most probable constants without
+an effect (the null mode), x the change of constants and discrepancy, prior N(0, P), H its Jacobian; s ~ N(0, 1) is the
+size of an effect along its column E; W is the inverse covariance of the noise.  With the sums over cycles A = ΣHᵀWH,
+B = ΣHᵀWE, C = ΣEᵀWE, b = ΣHᵀWe, d = ΣEᵀWe, the logarithm of the effect's Bayes factor K is
 
-    M = P⁻¹ + A,   x = M⁻¹b,   G = C − BᵀM⁻¹B,   g = d − Bᵀx        ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G)
+    M = P⁻¹ + A,   x = M⁻¹b,   G = C − BᵀM⁻¹B,   g = d − Bᵀx        ln K = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G)
 
 An effect that begins in cycle c has the sums of B, C, d from c on.  Its evidence is the mean over a beginning before
 the trial (half of the prior) and in each later cycle.
 
-Here P is the prior covariance of x, H the Jacobian of the data to x, W their inverse covariance, e their residual, and
-B the Bayes factor of the effect.  The linear model is a screen with two errors: early cycles remain linearised at an
-earlier null mode, and a model error that repeats in every cycle is counted as new evidence each time.  If ln B exceeds
-the detection threshold, the recorded cycles are diagnosed with the full model.
+The linear model is a screen with two errors: early cycles remain linearised at an earlier null mode, and a model error
+that repeats in every cycle is counted as new evidence each time.  If ln K exceeds the detection threshold, the recorded
+cycles are diagnosed with the full model.
 """
 
 from __future__ import annotations

@@ -74,12 +74,12 @@ class Parameter:
 
     @property
     def rig_bounds(self) -> Range:
-        """Return the bounds on rigs of any size."""
+        """Return the bounds of this parameter in a fit to a rig of any size."""
         return self.any_rig or (self.low, self.high)
 
     @property
     def search_bounds(self) -> Range:
-        """Return the bounds of a fit on a bench like the nominal one."""
+        """Return the bounds of this parameter in a fit to a bench like the nominal one."""
         return self.search or (self.low, self.high)
 
     @property

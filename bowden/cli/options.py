@@ -65,7 +65,7 @@ def new_file(help: str = "File to write.", content: str = "", *endings: str, nam
 
 
 def parsed(option: str, text: str, sentence: str, read: Callable[[str], T]) -> T:
-    """Return `read(text)`; where that raises ValueError or KeyError, `InputError` with a `sentence` on the text."""
+    """Return `read(text)`, the value of an option; raises `InputError` with `sentence` if `read` fails."""
     try:
         return read(text)
     except InputError:

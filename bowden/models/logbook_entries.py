@@ -149,7 +149,7 @@ def against_history(folder: Path, path: Path) -> dict[str, Any]:
 
 
 def add_verdict(folder: Path, path: Path, content: Mapping[str, Any]) -> None:
-    """Enter `ENTERED` of a diagnosis of a trial; the trial is entered, too, if it is new."""
+    """Enter the keys `ENTERED` of a trial's diagnosis in a logbook; a trial that is new to it is entered first."""
     [(entry, _)] = add(folder, {path: None})
     with open_logbook(folder) as book:
         book.enter_verdict(entry.id, {name: content[name] for name in ENTERED if name in content})

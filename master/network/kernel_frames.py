@@ -98,7 +98,7 @@ def settle(slots: Any, headers: Any, count: int, told: Any) -> None:
 
 @njit(cache=True)
 def rows(slots: Any, headers: Any, count: int, block: Any, told: Any) -> None:
-    """Write `count` frames into `block`, rows of `ROW` words, behind those there, and update the state `told`."""
+    """Append `count` received frames to `block`, one row of `ROW` words each; `told` holds the block's counters."""
     at = told[TAKEN]
     for n in range(count):
         raw, size = slots[n, 0] & np.uint64(0xFFFFFFFF), (slots[n, 0] >> np.uint64(32)) & np.uint64(0xFF)

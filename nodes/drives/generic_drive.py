@@ -91,12 +91,12 @@ class GenericDrive(Application):
         self._show(now_ns)
 
     def nmt_changed(self, state: NmtState, now_ns: int) -> None:
-        """Leave OPERATION ENABLED as 0x6007 selects if the node stops."""
+        """React to NMT state STOPPED as to a lost connection: 0x6007 selects the reaction of an enabled drive."""
         if state is NmtState.STOPPED:
             self.communication_lost(Emcy.GENERIC, now_ns)
 
     def communication_lost(self, reason: Emcy, now_ns: int) -> None:
-        """React to a lost connection as 0x6007 selects."""
+        """React to a lost connection: fault, disable voltage, quick stop or nothing, as 0x6007 selects."""
         self._advance(now_ns)
         reaction = self.number(0x6007)
         if self.state is State.OPERATION_ENABLED:

@@ -71,7 +71,7 @@ def _friction(path: Values) -> dict[str, float]:
 
 
 def stretch_of(path: Values) -> dict[str, float]:
-    """Return the simulation's stretch parameters that have the path's stretch between 10 and 60 N."""
+    """Fit the simulation's stretch parameters to the stretch of a path at 10 to 60 N; return them by name."""
     strain = np.linspace(0.0, 4.0, 4001)
     tension = path["stiffness"] * strain * (1.0 + strain * (path["curve2"] + strain * path["curve3"]))
     delayed = path["prompt"] + 0.5 * path["slow"]

@@ -90,7 +90,7 @@ END_MISSING = "the last line has no end, so bytes of its frame may be missing; k
 
 
 class DamageRemarks:
-    """Sentences about damaged places of a log, `MOST_REMARKS` at most; `sentences` ends with the number of others."""
+    """Sentences on damaged places of a log: one for each of the first `MOST_REMARKS`, and one that counts the rest."""
 
     def __init__(self) -> None:
         self._first: list[str] = []
@@ -104,18 +104,18 @@ class DamageRemarks:
             self._others += 1
 
     def unread(self) -> list[str]:
-        """Return the sentences on the places that were added since the last call, without the number of others."""
+        """Return the sentences on the listed places that were added since the last call."""
         new, self._read = self._first[self._read:], len(self._first)
         return new
 
     @property
     def full(self) -> bool:
-        """True if further places are only counted."""
+        """True if `MOST_REMARKS` places are listed: later ones are only counted."""
         return len(self._first) == MOST_REMARKS
 
     @property
     def further(self) -> str:
-        """Number of the places that are only counted, in words; "" if there is none."""
+        """Sentence on how many places there are beyond the first `MOST_REMARKS`; "" if there are none."""
         return f"and {self._others} more such places" if self._others else ""
 
     @property

@@ -132,5 +132,5 @@ def plain(key: str, value: object) -> object:
 
 
 def folded(facts: Mapping[str, object]) -> dict[str, object]:
-    """Return the rest by key: digests, the commit, settings that are seldom asked for."""
+    """Return the entries that `shown` leaves out, by key: digests, the commit, and settings that are seldom needed."""
     return {key: value for key, value in facts.items() if key in ALWAYS_FOLDED and value not in (None, "")}
