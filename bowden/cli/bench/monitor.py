@@ -15,7 +15,7 @@ from bowden.deferred import on_first_use
 from parameters import InputError
 
 with on_first_use():
-    from bowden.trials import monitored
+    from bowden.trials.monitored_frames import FrameStatistics, of_bus, of_file
     from bowden.trials.recording import BusRecording
     from eds.bench.bench_network import wire
     from eds.dictionary import Dictionary, read
@@ -55,13 +55,13 @@ def monitor(
                          ) if eds else of_wire(wire(network))
     if dbc is not None:
         terminal.remark(f"{dbc}: {write_dbc(reader, dbc, overwrite=True)} PDOs.")
-    recording, seen, bus = SignalRecording(reader), monitored.FrameStatistics(reader), None
+    recording, seen, bus = SignalRecording(reader), FrameStatistics(reader), None
     with ExitStack() as opened:
         if source is None:
             chosen = reached.configured()
             bus = opened.enter_context(buses.opened_one(chosen, network.bitrate))
             seconds = 1.0 if seconds is None and chosen.simulated else seconds
-        for frame in monitored.of_bus(bus, seconds) if source is None else monitored.of_file(source, terminal.remark):
+        for frame in of_bus(bus, seconds) if source is None else of_file(source, terminal.remark):
             words = seen.read(frame)
             if mf4 is not None and not frame.in_words():
                 recording.take(frame.time_ns, frame.can_id, frame.data)
