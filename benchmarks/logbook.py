@@ -16,14 +16,14 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from bowden.bench import buses, configuration
+import bowden
+from bowden.bench import buses
 from bowden.models import logbook_entries
 from bowden.models.logbook_entries import diagnosed_state
-from bowden.trials import session as trials
 from logbook import database
 from logbook.bench_state import BenchState, averaged_nats
 from logbook.database import open_logbook
@@ -106,13 +106,9 @@ def record(folder: Path, kind: str, serial: int, session: int, change: str | Non
 
 def _run(path: Path, serial: int, session: int, effects: Mapping[str, Mapping[str, float]]) -> None:
     """Run the packaged plant's gait on the day of a session, through the wire."""
-    sections: dict[str, Any] = configuration.read(None)
-    gait = configuration.override(sections["gait"], {
-        "peak_n": ("--peak", PEAK_N), "period_s": ("--period", PERIOD_S), "cycles": ("--cycles", CYCLES),
-        "settle": ("--settle", 0)})
-    reference, sections["gait"], _ = trials.reference(gait, None, None, period_given=True, peak_given=True)
     bus = buses.simulated(serial=serial, day=session, plant_model={"effects": dict(effects)} if effects else None)
-    result = trials.perform(trials.prepare(sections, reference, None, bus, dry_run=False), path)
+    asked = bowden.Experiment(peak_n=PEAK_N, period_s=PERIOD_S, cycles=CYCLES, settle=0)
+    result = bowden.run(asked, bus=bus, output=path).figures
     if result["outcome"] != "completed" or not math.isfinite(result["simulated_s"]):
         raise RuntimeError(f"{path}: {result['stop_reason']}")
 
