@@ -41,8 +41,11 @@ CYCLES, PERIOD_S, PEAK_N, RATE_HZ, NOISE_N = 6, 1.2, 40.0, 500, 0.1
 
 
 class ChangeCase(NamedTuple):
-    """A change of a bench: of one of the family by session since it began, of the packaged plant as effects; names of
-    the effects of which one is right, and the part of the bench that the diagnosis should name."""
+    """A change of a bench, by number of the session since it began, and its right answers.
+
+    `family`: the changed bench of the family; `packaged`: effects of the packaged plant.  `names`: effects of which one
+    is right; `part`: the part of the bench that the diagnosis should name.
+    """
 
     family: Callable[[Bench, int], Bench]
     packaged: Callable[[int], Mapping[str, Mapping[str, float]]]

@@ -340,7 +340,7 @@ def recorded(recorder: Recorder) -> Step:
 
 
 def recorded_by_mcap(writer: Writer) -> Step:
-    """Return the same with mcap's own writer."""
+    """Return a function that records one control cycle with mcap's own writer."""
     names = [signal.name for signal in trial.SIGNALS]
     frame_schema = writer.register_schema(cdr.FRAME_SCHEMA_NAME, "ros2msg", cdr.FRAME_SCHEMA.encode())
     cycle_schema = writer.register_schema(cdr.CYCLE_SCHEMA_NAME, "ros2msg", cdr.cycle_schema(names).encode())

@@ -8,7 +8,7 @@ from multiprocessing import resource_tracker
 
 @contextmanager
 def unsignalled() -> Iterator[None]:
-    """Block Ctrl-C, SIGHUP and SIGQUIT in this thread meanwhile, and in every process that it starts, from its begin.
+    """Block Ctrl-C, SIGHUP and SIGQUIT in this thread during a `with` block, and in processes that start in it.
 
     A process that blocks them itself would end in a traceback while it still imports.  A signal that comes meanwhile is
     delivered to this thread at the end.

@@ -30,7 +30,7 @@ def write(model: BenchModel, path: str | Path, *, overwrite: bool = False) -> Pa
 
 
 def given(model: Model | None) -> BenchModel:
-    """Return a model however it was given; the packaged nominal one for None."""
+    """Return a model given as an object or a file; None gives the packaged nominal model."""
     if model is None:
         return nominal()
     return model if isinstance(model, BenchModel) else read(model)

@@ -68,7 +68,7 @@ def checked(tables: Mapping[str, Mapping[str, Any]], bench: DeclaredBench, *, wh
 
 
 def _held(bench: DeclaredBench, path: ForcePath) -> dict[str, tuple[str, ...]]:
-    """Return by name of the path, of its devices and of its joint the names of the limits that each may have."""
+    """Return the names of the limits that a force path, its devices and its joint may declare, by name of each."""
     joint = next(joint for joint in bench.joints if joint.name == path.joint)
     found: dict[str, dict[str, None]] = {}
     for of, names in ((path.name, PATH_LIMITS), (path.actuator, DRIVE_LIMITS), (path.start, START_LIMITS),

@@ -145,7 +145,7 @@ def _phase(side: Trial) -> Floats | None:
 def _signal(
     name: str, a: Trial, b: Trial, matched: str, along: tuple[Floats, Floats]
 ) -> SignalDifference | None:
-    """Compare one signal; None where no row has both, or where it is a number that has no values between rows."""
+    """Compare one signal; None if no row has both values, or if rows must be interpolated and the signal is a count."""
     one, other = a.columns[name], b.columns[name]
     if matched != "row by row":
         if a.units[name] == "1":

@@ -411,7 +411,7 @@ def refuse_unknown(source: str, path: str, known: tuple[str, ...]) -> None:
 
 
 def _own(given: Mapping[str, T], path: str, known: tuple[str, ...]) -> dict[str, T]:
-    """Return what holds for every path, and what holds for this one in its place."""
+    """Return the entries of all paths, those with the prefix of this path in their place."""
     prefixes = tuple(f"{name}." for name in known)
     common = {key: value for key, value in given.items() if not key.startswith(prefixes)}
     return common | {key.removeprefix(f"{path}."): value for key, value in given.items() if key.startswith(f"{path}.")}

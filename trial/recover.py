@@ -194,7 +194,7 @@ def begins(view: mmap.mmap, at: int) -> bool:
 
 
 def surviving(view: records.View, at: int, end: int) -> tuple[bytes, bool]:
-    """Return a chunk's content and True, or the front of it where the file ends in it, else nothing, and False."""
+    """Return a chunk's content and True; of a cut chunk its readable beginning, of a damaged one nothing, and False."""
     try:
         return records.unpack(view, at, end)[0], True
     except records.CutError:

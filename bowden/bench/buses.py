@@ -122,7 +122,7 @@ def simulated(
 
 
 def handled(chosen: BusSettings, **does: float) -> BusSettings:
-    """Return the bus whose simulated bench has a hand that does a set-up check; a real bus as it is.
+    """Return a bus whose simulated bench is held at a reference, as in a set-up check by hand; a real bus unchanged.
 
     `does`: start_n, end_n or knee_rad.
     """

@@ -129,7 +129,7 @@ def _apart(limits: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _with_own(limits: Any, own: Mapping[str, Any], bench: Any, path: Path | None) -> Any:
-    """Return the limits with those of single devices, joints and force paths; one path has them as the bench's."""
+    """Return the bench's limits with those of devices, joints and force paths; a single path's replace the bench's."""
     found = dataclasses.replace(limits, own=checked_own(own, bench, where=str(path)))
     return found if len(bench.force_paths) > 1 else of_path(found, bench, bench.force_paths[0])
 

@@ -14,7 +14,7 @@ SPARED: Final = {"can": "asammdf", "numba.np.arraymath": "scipy.linalg.cython_bl
 
 
 def load() -> None:
-    """Import the modules of `SPARED` without the others, unless one of them is there already."""
+    """Import each module of `SPARED` while the heavy one that it can do without is hidden, unless either is loaded."""
     gc.disable()  # an import creates objects that stay: to look for garbage among them takes a tenth of its time
     try:
         for name, spared in SPARED.items():

@@ -27,7 +27,7 @@ Registered = TypeVar("Registered", bound=Callable[..., Any])
 
 
 class NothingGivenError(InputError):
-    """A command that needs one of several things was given none of them; `needs` as a usage line shows them."""
+    """A command got none of several alternative arguments; `needs` lists them as a usage line does."""
 
     def __init__(self, needs: str, sentence: str) -> None:
         super().__init__(sentence)

@@ -98,7 +98,7 @@ def refuse_given(given: Mapping[str, Any], sentence: str) -> None:
 
 
 def completing(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
-    """Return the completion of an option's value: those of `names` that begin as typed."""
+    """Return the shell completion of an option's value: the `names` that begin with the typed text."""
     def beginning(incomplete: str) -> list[str]:
         return [name for name in names() if name.startswith(incomplete)]
 
@@ -193,7 +193,7 @@ class StrideOptions(NamedTuple):
 
 
 def spelled(*groups: Any) -> dict[str, Any]:
-    """Return the options of groups by their spelling; None for those not given."""
+    """Return the values of option groups by option, such as --peak; None for options that the command line lacks."""
     return {_spelling(name): value for group in groups for name, value in group._asdict().items()}
 
 

@@ -110,7 +110,7 @@ class LiveState:
             self.changed.notify_all()
 
     def digest(self) -> None:
-        """Take in what has come since the last call, and wake who waits: the page's own thread, ten times a second."""
+        """Add the queued messages to the page's content and wake its viewers, ten times a second."""
         with self.changed:
             if blocks := _emptied(self._blocks):
                 self._frames(np.frombuffer(b"".join(blocks), cdr.FRAME_ROW))

@@ -78,7 +78,7 @@ class NightTrials:
         return result if result["outcome"] == "completed" else self.recorded(journal, f"{step} again", experiment)
 
     def recorded(self, journal: Journal, step: str, experiment: Experiment | PreparedTrial) -> dict[str, Any]:
-        """Return the journal's result of a trial, recorded now unless the journal has it.
+        """Return the result of a trial from the journal; a trial that the journal lacks is run first.
 
         Ends the run by time and at the second stopped trial.
         """

@@ -149,7 +149,7 @@ class _Run:
             return replace(outcome, ending=str(ended))
 
     def _with(self, step: str, found: DiagnosisResult) -> dict[str, Any] | None:
-        """Return a trial with the extension of `found`; None if it was stopped: it is not tried again."""
+        """Run a trial whose controller compensates the extension of `found`; return None if the trial was stopped."""
         result = self.bench.recorded(
             self.journal, step, replace(self.bench.gait, controller="extended", model=found.model))
         return result if result["outcome"] == "completed" else None
@@ -178,7 +178,7 @@ class _Run:
         return choices[k].scaled(size)
 
     def _proven(self, found: DiagnosisResult, outcome: MendedBench) -> MendedBench:
-        """Return the outcome of trials without and with the extension of `found`, which is removed if it is undone."""
+        """Run pairs of trials without and with the extension of `found`; an extension without gain is deleted."""
         extended, before, after, kept = self.folder / EXTENDED, list[float](), list[float](), False
         write_whole(extended, found.model.text(), overwrite=True)
         try:

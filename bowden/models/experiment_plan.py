@@ -206,7 +206,7 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
 
 
 def _by_hand(among: Sequence[str]) -> dict[str, str]:
-    """Return the manual work by experiment, for those that need hands and are named for an effect of the set."""
+    """Return, by experiment, the work of an operator in experiments that concern an effect of the set."""
     named = [CATALOGUE[name].experiment for name in among]
     return {name: f"{EXPERIMENTS[name].by_hand}; {EXPERIMENTS[name].around}" for name in named
             if EXPERIMENTS[name].by_hand}

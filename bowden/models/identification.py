@@ -39,7 +39,7 @@ class StoppedError(Exception):
 
 
 class IdentificationResult(NamedTuple):
-    """Why it stopped (None: it did not), the calibration, and the experiments that it was fitted to.
+    """Result of an identification: reason of a stop (None: completed), calibration, and the fitted experiments.
 
     With a reason and a calibration a gait trial stopped: the discrepancy is of the gait trials before it, if any.
     `path` is the force path that was identified, "" on a bench of a single one.

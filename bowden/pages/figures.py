@@ -63,7 +63,7 @@ def figures(
 def _of_strides(
     experiment: ExperimentSetup, recorded: read.TrialFile, truth: Path | None, progress: Progress
 ) -> dict[str, Any] | None:
-    """Return the figures of a walk stride by stride; None where it did not come to its first stride."""
+    """Return the figures of a walk stride by stride; None if the walk ended before its first stride."""
     side = None if truth is None else _opened(truth, progress)
     true = None if side is None else TrueEnd(side, "")
     blocks = [(columns, None if true is None else true.at(times))

@@ -96,7 +96,7 @@ def opened(
     recorded: Trial, selection: Selection, chosen: BusSettings, channels: Mapping[int, str] | None = None, *,
     speed: float = 1.0, loops: int = 1,
 ) -> Iterator[Playing]:
-    """Open the buses and bring the nodes to where the selected frames begin; yields what plays them.
+    """Open the buses, restore the nodes' state at the first selected frame, and yield the player of the frames.
 
     `channels` maps a recorded channel to a channel of `chosen`'s interface; without it one bus takes all of them.
     """

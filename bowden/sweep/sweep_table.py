@@ -67,7 +67,7 @@ class SweepTable(AbstractContextManager["SweepTable"]):
         return None if line is None else dict(zip(self.columns, line, strict=True))
 
     def finish(self, order: Iterable[Mapping[str, Any]]) -> None:
-        """Put the rows in `order`, those of earlier sweeps behind them, in the format of the file's ending."""
+        """Write the final table, CSV or Parquet by its ending: the rows in `order`, then rows of earlier sweeps."""
         first = [self.rows[key] for key in map(self.key, order) if key in self.rows]
         wanted = {tuple(line[: len(self.parameters)]) for line in first}
         lines = first + [line for key, line in self.rows.items() if key not in wanted]

@@ -134,7 +134,7 @@ class CanBus:
             node.station.settle(self.now_ns)
 
     def open(self, **options: Any) -> BowdenBus:
-        """Open a python-can bus on it: any python-can or canopen program can use it."""
+        """Open a python-can bus on this virtual bus, for any python-can or canopen program."""
         bus = BowdenBus(self.channel, bench=self._bench, **options)
         self._opened.append(bus)
         return bus

@@ -275,7 +275,7 @@ class CanopenNode:
 
 
 def _read(given: str | Path | Dictionary, node_id: int | None) -> tuple[Dictionary, tuple[str, ...]]:
-    """Return the dictionary of an EDS and what its values do wrong; a file is read once while it stays the same."""
+    """Return the dictionary of an EDS and the faults of its values; an unchanged file is read once."""
     if isinstance(given, Dictionary):
         return given, ()
     path = packaged(str(given)) if str(given) in PACKAGED else Path(given)

@@ -43,7 +43,7 @@ def waiting_ns(seconds: float) -> int:
 
 
 class VirtualTime:
-    """The context of one thread on one bus, `kernel` its clock; two buses cannot have it at once."""
+    """Context in which Python's clocks and waits are those of a virtual bus's `kernel`; for one bus at a time."""
 
     current: VirtualTime | None = None
 

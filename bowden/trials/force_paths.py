@@ -83,7 +83,7 @@ def attachments(setups: Mapping[str, ExperimentSetup], sections: Mapping[str, An
 
 
 def opened(file: Path, path: str | None, *, whole: bool = False) -> TrialFile:
-    """Open a trial of a single path, or with `path` that path of one; `whole` takes one of several as it is.
+    """Open a trial: of several force paths the one called `path`, or with `whole` all of them.
 
     Raises `InputError` for a trial of several paths where no path is named, and for a path that it has not.
     """

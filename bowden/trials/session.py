@@ -288,7 +288,7 @@ def _bench(chosen: BusSettings) -> str:
 
 
 def beyond(*models: Path | BenchModel | None) -> dict[str, Any]:
-    """Return `known`, effects, and `terms` beyond the calibration that bench models state, as an experiment has them.
+    """Return the effects (`known`) and the `terms` of bench models, as keyword arguments of an experiment.
     """
     read = [model for model in map(_read, models) if model is not None]
     return {"known": {name: values for model in read for name, values in model.effects.items()},
@@ -380,7 +380,7 @@ def never_ran(output: Path) -> bool:
 
 
 def closed(recorder: Recorder, result: Result) -> Result:
-    """Close the recording; if its end found no room, the result has that reason instead of "completed"."""
+    """Close the recording; if that fails, as on a full disk, return a stopped result with the reason."""
     try:
         recorder.close(dataclasses.asdict(result))
     except RecordingError as error:

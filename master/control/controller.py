@@ -167,7 +167,7 @@ def _typed(kind: Any, text: str) -> Any:
 
 
 def signals(kind: Kind, walking: bool = False) -> tuple[Signal, ...]:
-    """Return a controller's own columns as signals of `/cycle`, behind those of every trial.
+    """Return a controller's own columns as signals of `/cycle`, which follow the signals of every trial.
 
     `walking`: the strides differ or their phase is felt, so that `WALKING` come last.
     """

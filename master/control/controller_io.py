@@ -10,7 +10,7 @@ NAN = math.nan
 
 
 class ControllerInput(NamedTuple):
-    """Inputs of a controller from one SYNC, all latched by it; without one of them there is no step.
+    """Inputs of a controller, all latched by one SYNC; the controller does not step unless all are there.
 
     `sample` counts control cycles from the start of gait cycle 0, negative in the run-in. Where the force follows a
     felt phase, `place` is the phase in samples of the gait table, fractional, `rate` its change in a control cycle, 0

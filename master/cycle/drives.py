@@ -23,7 +23,7 @@ _OPERATE = 0x000F
 
 
 def enable(exchange: Running) -> None:
-    """Bring every drive to OPERATION ENABLED where it stands; raises `BringUpError` with drive and error code."""
+    """Bring every drive to OPERATION ENABLED at its position; raises `BringUpError` with drive and error code."""
     for path in exchange.paths:
         _drive_to(path, (State.OPERATION_ENABLED, State.OPERATION_ENABLED))
         path.plausibility.restart()

@@ -284,7 +284,7 @@ def _stretch(s: Any, g: Any, middle: float, position: float, knee: float, start:
 
 @njit(inline="always")
 def _pays_out(s: Any, g: Any, position: float, knee: float, mean: float, most: float) -> None:
-    """Compare a rope that pays out with how far it would have gone in for the tension gained since then."""
+    """Compare the tension gained while the rope pays out with the winding-in that such a gain takes."""
     # ten steps of the encoder are no winding in; on the stiffest path they are 0.5 N
     if s[FRESH] <= 1.0 or position > s[OUT_M] + 1e-5 or abs(knee - s[OUT_KNEE]) > KNEE_RAD:
         s[OUT_M], s[OUT_N], s[OUT_KNEE] = position, mean, knee

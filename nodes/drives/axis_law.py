@@ -217,7 +217,7 @@ def brake(s: Any, g: Any, velocity: float, dt_s: float) -> float:
 
 @njit
 def tighten(s: Any, g: Any, position: float, velocity: float, dt_s: float) -> float:
-    """Return the torque that winds in until the tension holds `g[PRELOAD]`; slower once half of it is there."""
+    """Return the torque that winds the rope in to the tension `g[PRELOAD]`; above half of it, it winds slower."""
     missing = g[PRELOAD] - s[TENSION]
     speed = g[SEARCH_SPEED] if missing > 0.5 * g[PRELOAD] else g[ZERO_SPEED]
     wanted = min(speed, max(-speed, TIGHTEN_PER_N * missing))

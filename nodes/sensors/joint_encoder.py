@@ -15,7 +15,7 @@ REVERSED: Final = 1
 
 
 class JointEncoder(Application):
-    """Encoder on a joint; `feel` gives it the angle, SYNC or an upload reads it in counts."""
+    """Encoder on a joint: `feel` sets the angle; a SYNC or an SDO upload reads it in counts."""
 
     watched = frozenset({PRESET})
 

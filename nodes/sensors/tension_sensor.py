@@ -151,7 +151,7 @@ class TensionSensor(Application):
         return NOT_VALID if self._verdict is None else self._verdict
 
     def _judge(self, verdict: int, now_ns: int) -> None:
-        """Take a new status; each trouble is one EMCY when it comes and one when it goes."""
+        """Process a new status: each fault sends one EMCY when it begins and one when it ends."""
         if verdict == self._verdict:
             return
         self._verdict = verdict

@@ -80,7 +80,7 @@ def apply(found: Mapping[str, Values]) -> dict[str, dict[str, float]]:
 def compensate(
     course: Trajectory, found: Mapping[str, Values], calibrated: Values = MappingProxyType({}),
 ) -> Trajectory:
-    """Return `course` as a controller should meet it that compensates the effects of `found`.
+    """Return the trajectory that a controller commands to reach `course` in spite of the effects of `found`.
 
     Submodels that two effects share receive the values of both, then those `calibrated`, by name; effects that set an
     exponent come before those that scale it, as in the catalogue.

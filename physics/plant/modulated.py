@@ -111,7 +111,7 @@ def factor(m: Any, first: int, seconds: float, dt: float) -> float:
 
 @njit(inline="always")
 def _since_last(m: Any, first: int, whole: float) -> float:
-    """Return the factor by which values that are `whole`, at least 0.05, of their own are to change, and keep it."""
+    """Return the ratio of the modulation factor `whole`, at least 0.05, to the last step's, and store it."""
     now, before = max(whole, 0.05), m[first + 10]
     m[first + 10] = now
     return float(now / before if before > 0.0 else now)

@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 
 from bowden.bench import configuration
-from bowden.cli.trials import sweep as sweep_command
 from bowden.models.diagnose_each import ReferenceCondition, diagnose_each
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run, summary
@@ -264,7 +263,7 @@ def test_each_cell_of_the_grid_has_a_line_with_why_its_trials_stopped() -> None:
 
 
 def test_the_terminal_shows_the_cells() -> None:
-    lines = list(sweep_command._words_of_cells([
+    lines = list(summary.cell_lines([
         {"cell": {"gait.controller": name, "controller.share": ""}, "trials": 1, "completed": done, "stopped": stopped,
          "median": median}
         for name, done, stopped, median in (

@@ -130,7 +130,7 @@ def _questions(columns: Mapping[str, Floats], slow_s: float = 0.5) -> dict[str, 
 
 
 def offer(path: Path) -> str:
-    """Return what to type where a table's columns have other names."""
+    """Return the advice for a table whose columns are not named as signals: the commands that map them."""
     return (f"rename its columns, or say bowden import {path} --guess -o map.toml, check that map, and say "
             f"bowden import {path} --map map.toml -o trial.mcap")
 

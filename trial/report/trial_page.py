@@ -63,7 +63,7 @@ def build(
 def _signals(
     page: Page, trial: TrialFile, view: Overview, frames: int, published: Mapping[str, str]
 ) -> list[Callable[[], None]]:
-    """Return what adds summary, force, motion and other signals; of several force paths for each of them."""
+    """Return the functions that add summary, force, motion and other signals to a page, of each force path."""
     parts: list[Callable[[], None]] = []
     for name in read.path_names(trial) or ("",):
         one = read.one_path(trial, name) if name else trial
