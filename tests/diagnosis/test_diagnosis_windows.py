@@ -20,8 +20,8 @@ def test_a_long_trial_is_windows_spread_over_it_without_gaps_that_are_not_its_ow
     assert used["tension_start_n"][-1] == whole["tension_start_n"][-1]
     assert len(used.seams) == 11
     assert used["time_s"][-1] < 12 * 10.0 + 12.0
-    (gap,) = [found.text for found in integrity.examine(used) if "gaps" in found.text]
-    assert "time_s has a gap of" in gap
+    (gap,) = [found.text for found in integrity.examine(used) if "gap of" in found.text]
+    assert "time_s has a gap of 1 s at" in gap
     assert "of its 3600 s, 12 windows of 10 s" in used.notes[-1]
 
 
