@@ -170,7 +170,7 @@ class Finder:
             findings += integrity.between(held[0], held[1], self._read)
             findings += scales.against_range([*held[0], *held[1]], self._read)
             findings += scales.against_bench([*held[0], *held[1]], self._read, self._known(held[0]))
-        notes = [n for group in (*held, self._read) for t in group for n in t.notes]
+        notes = list(dict.fromkeys(n for group in (*held, self._read) for t in group for n in t.notes))
         return [f.text for f in findings if not f.refuses] + notes, [f.text for f in findings if f.refuses]
 
     def _compared_with_population(self, groups: Sequence[Sequence[Table]]) -> str:

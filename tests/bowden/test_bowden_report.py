@@ -41,3 +41,15 @@ def test_report_refuses_what_is_no_trial(bowden: Callable[..., Any], here: Path)
     told = bowden("report", "trial.mcap", "-o", "report.html", "--json")
     assert (told.status, told.stdout) == (2, "")
     assert not (here / "report.html").exists()
+
+
+def test_the_report_of_a_log_speaks_of_control_cycles_and_of_inputs(bowden: Callable[..., Any], here: Path) -> None:
+    Path("bus.log").write_text("".join(
+        f"({k / 1000:.6f}) can0 080#\n({k / 1000 + 1e-4:.6f}) can0 181#37129D520000F6FF\n" for k in range(200)))
+    assert bowden("import", "bus.log", "-o", "bus.mcap")[0] == 0
+    assert bowden("report", "bus.mcap", "-o", "bus.html")[0] == 0
+    page = Path("bus.html").read_text()
+    assert "; control cycles 200" in page
+    assert "gait cycles 200" not in page
+    assert ">servo inputs, arrival<" in page
+    assert "time_s (s)" not in page

@@ -330,3 +330,21 @@ def test_channels_of_another_rate_in_a_tdms_file_come_by_their_own_times(here: P
     assert read.columns["tension_end_n"] == pytest.approx(5 + TIME)
     known = np.isfinite(read.columns["servo_position_m"])
     assert read.columns["servo_position_m"][known] == pytest.approx(0.1 + TIME[::10])
+
+
+def test_a_table_of_a_turning_axis_in_other_words_is_sent_to_the_columns_that_are_read(
+        here: Path, bowden: Command) -> None:
+    for name, phase in (("new.csv", 0.0), ("old.csv", 0.5)):
+        turn = np.column_stack([TIME, np.sin(5 * TIME + phase), np.cos(5 * TIME + phase), TIME])
+        np.savetxt(here / name, turn, delimiter=";", comments="", header="Zeit [s];Winkel [rad];Moment [Nm];x")
+    status, out, _ = bowden("import", "new.csv", "--guess", "-o", "map.toml")
+    assert (status, "'Moment [Nm]': a torque" in out) == (0, True)
+    assert "are time_s, servo_position_rad and servo_torque_nm, in s, rad and N·m" in " ".join(out.split())
+    for name in ("new.csv", "old.csv"):
+        _, _, rows = (here / name).read_text().partition("\n")
+        (here / name).write_text("time_s;servo_position_rad;servo_torque_nm;x\n" + rows)
+    assert "N·m" in bowden("info", "new.csv")[1]
+    (here / "volts.csv").write_text((here / "new.csv").read_text().replace("servo_torque_nm", "motor_voltage_v"))
+    assert "motor_voltage_v    │    V │" in bowden("info", "volts.csv")[1]
+    _, out, _ = bowden("diagnose", "new.csv", "--healthy", "old.csv")
+    assert out.count("columns not used: x") == 1

@@ -16,7 +16,7 @@ from parameters import InputError
 from parameters.files import refuse_special
 from trial import read
 from trial.convert import imports
-from trial.convert.csv_table import SignalSource, guesses, offer, split_unit
+from trial.convert.csv_table import SignalSource, guesses, offer, written_unit
 from trial.convert.frames import LoggedFrames
 from trial.convert.lab_table import LabTable
 from trial.mcap_file import cdr, records
@@ -225,8 +225,7 @@ def _table(path: Path, sheet: LabTable) -> Contents:
             if name in UNITS:
                 found.remarks.append(f"row {row} of {name} is no number: {cell[:40]!r}")
         else:
-            unit = UNITS.get(name) or sheet.unit(name) or split_unit(name)[1]
-            found.columns.append(_column(name, unit, sheet.column(name)))
+            found.columns.append(_column(name, written_unit(sheet, name), sheet.column(name)))
     found.remarks += [f"{name} is left out: {why}" for name, why in sheet.left_out.items()]
     _clock(sheet, found)
     if "time_s" not in sheet:

@@ -179,7 +179,13 @@ OTHERS = _words("torque drehmoment couple nm strom ampere voltage volt temperatu
 """Quantities that no signal of a bench has: without a unit in brackets such a column is no rope's position."""
 AXIS = re.compile(r"(?:.+\.)?(?:servo_(?:position|target)_rad|servo_velocity_rad_s|servo_torque_nm|motor_voltage_v)")
 """Columns of a turning axis (docs/rigs.md), which a trial does not record."""
+AXIS_UNITS = {"_rad": "rad", "_rad_s": "rad/s", "_nm": "N·m", "_v": "V"}
+"""Units of the columns of a turning axis, by the end of their names."""
+TORQUES = _words("nm n·m n*m mnm ncm")
+"""Units of torque, in lower case."""
 OF_AXIS = "of a turning axis, which a trial does not record; bowden diagnose and fit read the table itself"
+OF_TORQUE = ("a torque, which a trial does not record; bowden diagnose and fit read the table of a turning axis, if "
+             "its columns are time_s, servo_position_rad and servo_torque_nm, in s, rad and N·m")
 
 LEAST = {"N": 0.5}
 """Smallest range of a signal that is not questioned where no unit is stated, by unit: kN of a rope bench are below."""
@@ -276,6 +282,8 @@ def unassigned(sheet: LabTable, found: Sequence[Guess]) -> list[Unassigned]:
                 ", nor a time as 2026-05-13 09:00:00.000" if ":" in sheet.faults[name][1] else "")
         elif AXIS.fullmatch(name):
             why = OF_AXIS
+        elif stated.lower() in TORQUES:
+            why = OF_TORQUE
         elif stated and not unit_of(stated):
             why = f"its unit {stated!r} is not known: give a unit that is, and scale"
         elif fits:
@@ -290,6 +298,12 @@ def unassigned(sheet: LabTable, found: Sequence[Guess]) -> list[Unassigned]:
             why = "its name and unit fit no signal"
         rows.append(Unassigned(name, why))
     return rows + [Unassigned(name, why) for name, why in sheet.left_out.items()]
+
+
+def written_unit(sheet: LabTable, name: str) -> str:
+    """Return the unit of a column for a reader: its signal's, else as the file states it; "" where it states none."""
+    of_axis = next(AXIS_UNITS[end] for end in AXIS_UNITS if name.endswith(end)) if AXIS.fullmatch(name) else ""
+    return UNITS.get(name) or of_axis or sheet.unit(name) or split_unit(name)[1]
 
 
 def _repeated(sheet: LabTable, name: str) -> str | None:

@@ -102,7 +102,7 @@ def _plot(page: Page, a: Trial, b: Trial, name: str, unit: str) -> None:
     along, values = along[good], [one[good], other[good], (one - other)[good]]
     if len(along) < 2:
         return
-    x_label = "gait cycles" if matched == "by gait phase" else "time_s (s)"
+    x_label = "gait cycles" if matched == "by gait phase" else "time (s)"
     along, values = broken(along, values, 2.5 * float(np.median(np.diff(along))))
     along, values = thinned(along, values, BINS)
     linked = "along"

@@ -249,7 +249,8 @@ def _timing_plot(page: Page, trial: Trial, title: str, colours: dict[str, str]) 
 
 def _spread(name: str, found: Quantiles) -> list[Cell]:
     quantiles = found.at((0.0, 0.5, 0.999, 1.0))
-    return [name.removesuffix("_ns"), *(None if one is None else one / 1000 for one in quantiles), found.unknown]
+    text = f"{words(name)}, {name.removesuffix('_ns').rpartition('_')[2]}" if "_pdo_" in name else words(name)
+    return [text, *(None if one is None else one / 1000 for one in quantiles), found.unknown]
 
 
 def _misses(view: Overview) -> dict[str, Cell]:
@@ -293,7 +294,7 @@ def load(page: Page, trial: TrialFile, frame_bits: FrameBits, bound_percent: flo
     speed = "" if bitrate is None else f" at {bitrate / 1000:g} kbit/s"
     page.text(f"{counted} frames{speed}; bits as sent, with stuffing and interframe space. Error frames are not "
               "counted.", "note")
-    page.plot(Plot("Load over 100 ms", along, [total, *series, *bound], f"{TIME} (s)", unit, linked=TIME))
+    page.plot(Plot("Load over 100 ms", along, [total, *series, *bound], "time (s)", unit, linked=TIME))
 
 
 def _added(one: Floats, other: Floats) -> Floats:

@@ -118,7 +118,8 @@ def plain(key: str, value: object) -> object:
     """
     unit = FACT_UNITS.get(key)
     if isinstance(value, Mapping):
-        return "; ".join(f"{label(name)} {plain(name, one)}" for name, one in value.items())
+        labels = {"cycles": "control cycles"} if key == "counts" else {}  # of a log, which has no gait
+        return "; ".join(f"{labels.get(name) or label(name)} {plain(name, one)}" for name, one in value.items())
     if isinstance(value, list | tuple):
         return ", ".join(str(plain(key, one)) for one in value)
     if isinstance(value, str) and value[:1] == value[-1:] == '"' and len(value) > 1:
