@@ -191,6 +191,22 @@ def missing_library(interface: str) -> tuple[str, str] | None:
     return name, f"pip install {name}"
 
 
+def listened(bus: can.BusABC, take: Callable[[can.Message], object], over: Callable[[], bool], look_s: float
+             ) -> str | None:
+    """Pass the messages of a bus to `take` until `over()`, which is asked at least every `look_s`.
+
+    Returns a failure of the bus in words, None without one.
+    """
+    try:
+        while not over():
+            message = bus.recv(look_s)
+            if message is not None:
+                take(message)
+    except (can.CanError, OSError) as error:
+        return str(error)
+    return None
+
+
 def clock_of(bus: Any) -> Callable[[], int]:
     """Return the clock, ns, of a bus's time stamps: the bus's own clock if it has one."""
     return getattr(bus, "time_ns", time.time_ns)

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
-import can
 import numpy as np
 
 from bowden.live.page_process import PageProcess, PageSetup
@@ -26,8 +25,7 @@ from trial.signals import of_bench, of_paths
 
 OTHER_PROCESS: Final = ("This process only listens to the bus. To stop: press Ctrl-C where the trial runs, the button "
                         "of its own page (bowden trial --web), or the emergency stop.")
-FRAME_S: Final = 1 / 60
-"""Time between two looks at the clock, s."""
+FRAME_S: Final = 1 / 60  # between two looks at the clock
 RECORDED: Final = "This is a recorded trial: there is nothing to stop."
 
 
@@ -40,8 +38,8 @@ def setup(name: str, network: Network) -> PageSetup:
 def state(name: str, kind: str, network: Network, paths: Sequence[str] | None = None, *, decode_events: bool = False
           ) -> LiveState:
     """Return the state of a page that this process serves for a bench; `paths`: force paths of a recorded trial."""
-    _, bitrate, nodes, silent_s, own = setup(name, network)
-    return LiveState(name, kind, time.monotonic, bitrate, nodes, silent_s, paths or own, decode_events=decode_events)
+    own = setup(name, network)
+    return LiveState(name, kind, time.monotonic, *own[1:4], paths or own.paths, decode_events=decode_events)
 
 
 class TrialFeed:
@@ -127,18 +125,6 @@ class BusFeed:
         self._follow, self._shown = follower.frame, shown
         self._places = [follower.names.index(name)
                         for name in of_paths(shown.paths, ("tension_start_n", "tension_end_n"))]
-
-    def follow(self, bus: can.BusABC, over: Callable[[], bool]) -> str | None:
-        """Show what the bus sends until `over()`; return how the bus has failed, None if it has not."""
-        try:
-            while not over():
-                message = bus.recv(FRAME_S)
-                if message is not None:
-                    self.take(message)
-        except (can.CanError, OSError) as error:
-            self._shown.status("ended", f"the bus has failed: {error}")
-            return str(error)
-        return None
 
     def take(self, message: Any) -> None:
         """Take one message as `can.BusABC.recv` gives it; CAN FD frames are no bench's and are left out."""

@@ -26,8 +26,7 @@ from trial.mcap_file.cdr import FRAME_STRUCT
 BLOCK: Final = struct.Struct("<I")
 """Length of a block, which is the pickled name and arguments of a method of `LiveState`."""
 SEND_NS: Final = 20_000_000
-"""Bus time between two transmissions to the page. Shorter: more system calls in the control thread. Longer: the page
-lags."""
+"""Bus time between two transmissions to the page; a longer one makes it lag, a shorter one costs system calls."""
 MOST_WAITING: Final = 1 << 22
 """Bytes that wait for the page; further blocks are left out until it has taken them."""
 NICENESS: Final = 10

@@ -47,8 +47,7 @@ class LiveState:
         paths: Sequence[str] = ("",), *, decode_events: bool = False,
     ) -> None:
         self.changed = threading.Condition()
-        self._about = {"name": name, "kind": kind, "silent_s": silent_s, "window_s": WINDOW_S,
-                       "paths": list(paths)}
+        self._about = {"name": name, "kind": kind, "silent_s": silent_s, "window_s": WINDOW_S, "paths": list(paths)}
         self.paths = tuple(paths)
         self._clock, self._bitrate, self._decode_events = clock, bitrate, decode_events
         self._blocks: deque[bytes] = deque(maxlen=QUEUE)
@@ -133,9 +132,8 @@ class LiveState:
         age = None if self._heard_at is None else self._clock() - self._heard_at
         told = {
             **self._about, "player": self.player, "status": self.present_status, "sentence": self._sentence,
-            "suspicion": self._suspicion, "epoch": self._epoch,
-            "age_s": age, "now_s": self._seconds(self._now_ns), "load_percent": self._load(), "nodes": self._nodes(),
-            "rows": _last(self._rows, self._row_count - rows),
+            "suspicion": self._suspicion, "epoch": self._epoch, "age_s": age, "now_s": self._seconds(self._now_ns),
+            "load_percent": self._load(), "nodes": self._nodes(), "rows": _last(self._rows, self._row_count - rows),
             "events": _last(self._events, self._event_count - events)}
         return told, (self._epoch, self._row_count, self._event_count)
 

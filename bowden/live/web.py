@@ -36,10 +36,7 @@ BACKLOG: Final = 128
 """Connections that the kernel holds until the server accepts them."""
 TOKEN_HEADER: Final = "X-Bowden-Token"
 Request = Callable[[PlayerControl, float | None, float | None], None]
-"""Function that commands the player of a recorded trial: control, speed as a multiple of real time, position in s.
-
-None leaves the speed or the position unchanged.
-"""
+"""Commands the player of a recorded trial: control, speed over real time, position in s; None leaves it unchanged."""
 
 
 def address(text: str) -> tuple[str, int]:
@@ -282,15 +279,11 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def html(token: str, nonce: str) -> str:
-    """Return the page, which loads nothing but its own stream.
-
-    `token` goes with its requests, `nonce` marks the scripts that may run.
-    """
+    """Return the page: `token` goes with its requests, `nonce` marks the scripts that may run."""
     return (_own("live.html")
             .replace("/*STYLE*/", asset("uPlot.min.css") + asset("page.css") + _own("live.css"))
             .replace("<!--LICENSE-->", f"<!-- With uPlot:\n{asset('uPlot.LICENSE')}-->")
-            .replace("NONCE", nonce)
-            .replace('"TOKEN"', json.dumps(token))
+            .replace("NONCE", nonce).replace('"TOKEN"', json.dumps(token))
             .replace("/*UPLOT*/", asset("uPlot.iife.min.js"))
             .replace("/*SCRIPT*/", _own("live.js")))
 

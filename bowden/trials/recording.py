@@ -4,13 +4,12 @@ The rule of this file: a file that is full is closed whole before the next one b
 frame that did not fit; nothing is lost between two.
 """
 
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
-
-import can
 
 from bowden import output_files
 from bowden.bench import buses, configuration
@@ -116,15 +115,9 @@ class BusRecording:
 
         A bus failure ends it; returns the failure in words, None without one.
         """
-        deadline = None if seconds is None else time.monotonic() + seconds
-        try:
-            while (deadline is None or time.monotonic() < deadline) and (frames is None or self.frames < frames):
-                message = bus.recv(LOOK_S)
-                if message is not None:
-                    self.take(message)
-        except (can.CanError, OSError) as error:
-            return str(error)
-        return None
+        end_s = math.inf if seconds is None else time.monotonic() + seconds
+        return buses.listened(
+            bus, self.take, lambda: time.monotonic() >= end_s or (frames is not None and self.frames >= frames), LOOK_S)
 
     def close(self) -> None:
         """Write pending messages and close the file."""

@@ -86,8 +86,9 @@ def _follow_bus(reached: Bus, web: str, over: Callable[[], bool]) -> int:
     with buses.opened_one(reached.chosen(), network.bitrate) as bus, \
             closing(LivePage(shown, web, None, feeds.OTHER_PROCESS)) as page:
         _show_page(page)
-        failure = feeds.BusFeed(network, shown).follow(bus, over)
+        failure = buses.listened(bus, feeds.BusFeed(network, shown).take, over, feeds.FRAME_S)
         if failure is not None:
+            shown.status("ended", f"the bus has failed: {failure}")
             terminal.remark(f"the bus has failed: {failure}.")
     return 0 if failure is None else 1
 
