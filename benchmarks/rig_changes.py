@@ -94,16 +94,6 @@ def cases() -> list[RigCase]:
     return made
 
 
-def rigid_body(given: Table) -> tuple[float, float]:
-    """Return gravity, N·m, and inertia, kg·m², of the pendulum by linear regression where it moves."""
-    angle, step = given["servo_position_m"], float(np.median(np.diff(given["time_s"])))
-    speed, turns = (savgol_filter(angle, 31, 3, deriv=k, delta=step) for k in (1, 2))
-    moves = np.abs(speed) > 0.15
-    columns = np.stack([np.sin(angle), np.cos(angle), turns, np.sign(speed), speed], axis=1)
-    found = np.linalg.lstsq(columns[moves], given["servo_force_n"][moves], rcond=None)[0]
-    return float(found[0]), float(found[2])
-
-
 def _asked(finder: EvidenceFinder, case: RigCase) -> tuple[bool, bool]:
     """Diagnose one case and print it; return whether it is right and whether a wrong name was given."""
     try:

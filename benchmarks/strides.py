@@ -5,7 +5,7 @@
 A walk of `WALKS` plays the recorded strides of DIRECTORY (default ../shared/data/gait) in random order, with stumbles,
 stops and a seat, while the rope's zero moves.  A bench is walked on day 1 by the calibration of day 0 that
 docs/unseen.csv has.  Walks that docs/strides.csv lacks are run until the minutes are over; then the table of the page
-is written, and its picture from the recordings that exist.
+is written.
 """
 
 import argparse
@@ -20,9 +20,7 @@ import numpy as np
 
 from benchmarks import family, frame
 from benchmarks.frame import DOCS, OUT, ROOT, markdown
-from physics.laws import Array, desired_force
-from physics.stride_walk import Stride, curve
-from trial.curves import read_curve, read_strides
+from trial.curves import read_curve
 
 TABLE, PAGE, KNEE = DOCS / "strides.csv", DOCS / "strides.md", OUT / "strides.csv"
 KEYS = ("kind", "serial", "seed")
@@ -123,33 +121,6 @@ def counted(rows: Sequence[Mapping[str, Any]], key: str) -> list[float]:
             and (one["assisted"] or key != TRUE_RMSE)]
 
 
-def limit(strides: Sequence[Stride], draws: int = 100) -> list[float]:
-    """Return median, 95 % and worst RMSE at the true phase, % of the peak, of the best linear estimate of the period.
-
-    The beginning of each stride is known exactly; its period is regressed on the knee angle since then.  The regression
-    is fitted to all strides but one, with drawn periods and amplitudes, and judged on that one.
-    """
-    random, at = np.random.default_rng(0), np.arange(1, 34) / 100.0
-
-    def draw(stride: Stride) -> tuple[Array, Array]:
-        period, size = 1.0 + random.uniform(-0.08, 0.08, draws), random.uniform(0.9, 1.1, draws)
-        return np.array([curve(stride, b)(at / a) for a, b in zip(period, size, strict=True)]), period
-
-    fitted, found = [draw(stride) for stride in strides], []
-    for k, stride in enumerate(strides):
-        angle, period = (np.concatenate(part) for part in zip(*fitted[:k], *fitted[k + 1:], strict=True))
-        judged, true = draw(stride)
-        middle, estimate = angle.mean(axis=0), np.empty_like(judged)
-        for n in range(1, at.size + 1):
-            away = angle[:, :n] - middle[:n]
-            square = away.T @ away
-            ridge = square + 0.01 * np.trace(square) / n * np.eye(n)
-            estimate[:, n - 1] = 1.0 + (judged[:, :n] - middle[:n]) @ np.linalg.solve(ridge, away.T @ (period - 1.0))
-        apart = desired_force(100.0 * at / estimate, 100.0) - desired_force(100.0 * at / true[:, None], 100.0)
-        found += np.sqrt((apart**2).sum(axis=1) / (100.0 * true)).tolist()
-    return [float(value) for value in np.percentile(found, (50, 95, 100))]
-
-
 def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the figures of walks that have a bar (a limit that they should keep), in the order of `BARS`."""
     if not rows:
@@ -162,59 +133,16 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             str(sum(row["outcome"] != "completed" for row in rows))]
 
 
-def figures(rows: Sequence[Mapping[str, Any]], bound: Sequence[float]) -> str:
-    """Return the table of docs/strides.md; `bound`: what `limit` returns."""
+def figures(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the table of docs/strides.md."""
     columns = [summary([row for row in rows if row["kind"] in kinds])
                for kinds in (("own", "family"), ("own",), ("family",))]
-    first = next(i for i, row in enumerate(BARS) if "true phase" in row[0])
-    permitted = [""] * first + [*map(number, bound)] + [""] * (len(BARS) - first - len(bound))
-    return markdown(["figure", "bar", "all", "own benches", "family", "best by the knee angle"],
-                    [(*row, *cells) for row, *cells in zip(BARS, *columns, permitted, strict=True)])
-
-
-def strides_by_rank(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, Mapping[str, Any], int]]:
-    """Return best, median and worst stride of the walks whose recordings are kept: label, row, number."""
-    ranked = sorted((one[RMSE], name(row), one["stride"], i) for i, row in enumerate(rows)
-                    if row["walk"] and recording(row).exists() for one in row["walk"]["by_stride"]
-                    if one["kind"] == "walk" and one["stride"] >= 1 and one["assisted"])
-    if not ranked:
-        return []
-    chosen = (("best", ranked[0]), ("median", ranked[len(ranked) // 2]), ("worst", ranked[-1]))
-    return [(f"{label}: {rmse:.2f} %, {walk}, stride {stride}", rows[i], stride)
-            for label, (rmse, walk, stride, i) in chosen]
-
-
-def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Draw best, median and worst stride: force asked for, true END, and desired force at the true phase."""
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
-    from bowden.pages.figures import true_end
-    from trial import read
-
-    chosen = strides_by_rank(rows)
-    if not chosen:
-        return
-    figure = Figure(figsize=(12.0, 3.6), layout="constrained")
-    FigureCanvasSVG(figure)
-    for axes, (label, row, stride) in zip(figure.subplots(1, 3, sharey=True), chosen, strict=True):
-        kept = read.open(recording(row))
-        at = kept.columns["cycle"] == stride
-        time_s = kept.columns["time_s"][at] - kept.columns["time_s"][at][0]
-        axes.plot(time_s, kept.columns["true_phase_force_n"][at], color="0.7", label="desired, true phase")
-        axes.plot(time_s, kept.columns["desired_force_n"][at], color="tab:orange", label="asked for")
-        axes.plot(time_s, true_end(recording(row).with_suffix(".truth.mcap"), kept)[at], color="tab:blue", lw=1.0,
-                  label="END")
-        axes.set(xlabel="time (s)", title=label)
-        axes.title.set_fontsize("small")
-        axes.grid(alpha=0.3)
-    figure.axes[0].set_ylabel("force (N)")
-    figure.axes[0].legend(fontsize="small")
-    figure.savefig(path, metadata={"Date": None})
+    return markdown(["figure", "bar", "all", "own benches", "family"],
+                    [(*row, *cells) for row, *cells in zip(BARS, *columns, strict=True)])
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run the walks that the table lacks, write the table and the page."""
+    """Run the walks that the table lacks, and write the table of the page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.strides")
     parser.add_argument("directory", nargs="?", type=Path, default=ROOT.parent / "shared" / "data" / "gait")
     parser.add_argument("--minutes", type=float, default=0.0)
@@ -229,10 +157,7 @@ def main(arguments: Sequence[str]) -> None:
             continue
         frame.write_rows(TABLE, KEYS, [row := walked(walk, strides)], "a")
         print(f"{name(row)}: {row['outcome']} {row['stop_reason'] or ''}", flush=True)
-    rows = frame.rows(TABLE)
-    recorded = [Stride(one.percent, one.values, math.nan) for one in read_strides(strides)]
-    frame.put(PAGE, "figures", figures(rows, limit(recorded)))
-    draw(rows, PAGE.with_suffix(".svg"))
+    frame.put(PAGE, "figures", figures(frame.rows(TABLE)))
 
 
 if __name__ == "__main__":
