@@ -205,7 +205,7 @@ def _shares(results: Sequence[Result]) -> str:
 
 
 def _signed(share: float) -> str:
-    """A share, unknown where a trial stopped; nothing has no sign."""
+    """Return a share with its sign, "0.00" if it is zero and "–" if a trial was stopped."""
     if not math.isfinite(share):
         return "–"
     return f"{round(share, 2) + 0.0:+.2f}" if round(share, 2) else "0.00"

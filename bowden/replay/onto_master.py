@@ -1,4 +1,4 @@
-"""The recorded nodes with a running master, and a comparison of its frames.
+"""Replay of a recording's nodes to a running master, whose frames are compared with the recorded ones.
 
 On the virtual bus the master is this process's own and runs the recorded experiment; on a real bus it is another
 program.

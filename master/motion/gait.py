@@ -114,7 +114,9 @@ def steps(
     felt: PhaseConfig | None = None, true_percent: Callable[[int], float] | None = None, until: float = math.inf,
     rising: int = 0,
 ) -> Work[None]:
-    """Answer samples `first` … `last` − 1 (0: start of gait cycle 0); `number` gives a row's gait-cycle number.
+    """Yield the controller's answer in each control cycle, for the gait's samples `first` … `last` − 1.
+
+    Sample 0 is the start of gait cycle 0; `number` returns the gait-cycle number of a sample for its row in the trial.
 
     `knee_at` gives the knee's target by sample if it does not follow the reference that the controller expects. `own`
     is the number of further columns of the controller `name`. A controller that raises, or whose targets are not
