@@ -199,7 +199,7 @@ class _Run:
         return replace(outcome, ending=ending, before=before[:len(after)], after=after, kept=kept)
 
     def _diagnosed(self, step: str, finder: Diagnosis, trials: Sequence[Path]) -> DiagnosisResult:
-        """Diagnose the trials together, and enter the verdict in the journal for the page; a resumed run diagnoses again."""
+        """Diagnose the trials together, and enter the verdict in the journal; a resumed run diagnoses again."""
         found = finder.diagnose(trials, terms=True)
         self.journal.step(step, lambda: {"verdict": found.verdict, "class": list(found.rivals),
                                          "causes": [cause["effect"] for cause in found.causes],

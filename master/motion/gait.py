@@ -117,7 +117,6 @@ def steps(
     """Yield the controller's answer in each control cycle, for the gait's samples `first` … `last` − 1.
 
     Sample 0 is the start of gait cycle 0; `number` returns the gait-cycle number of a sample for its row in the trial.
-
     `knee_at` gives the knee's target by sample if it does not follow the reference that the controller expects. `own`
     is the number of further columns of the controller `name`. A controller that raises, or whose targets are not
     finite, raises `StopError`. With `felt` the controller follows the phase of the knee angle, without a clock;
