@@ -137,7 +137,10 @@ def own_parameters(kind: Kind, tuning: str, *, where: str) -> Any:
     the declared bounds.
     """
     declared = getattr(kind, "parameters", None)
-    given = dict(_assigned(part, where) for part in tuning.split(",") if part.strip())
+    assigned = [_assigned(part, where) for part in tuning.split(",") if part.strip()]
+    given = dict(assigned)
+    if len(given) < len(assigned):
+        raise InputError(f"{where}: {tuning} gives a parameter two values; keep one.")
     if declared is None:
         if given:
             raise InputError(f"{where}: this controller declares no parameters, so {', '.join(given)} cannot be set; "

@@ -70,7 +70,8 @@ def test_a_trial_sets_them_within_their_bounds(own: Path, bowden: Callable[..., 
     assert set(recorded.columns["kp"][recorded.columns["cycle"] == 0]) == {95.0}
     status, _, err = bowden("replay", "a.mcap", "--onto", "controller", "--allow-controller", "own.py:Own")
     assert (status, err) == (0, "")
-    for given, said in (("kp=400", "outside 0 … 200"), ("ki=1", "ki"), ("kp", "is no NAME=VALUE")):
+    for given, said in (("kp=400", "outside 0 … 200"), ("ki=1", "ki"), ("kp", "is no NAME=VALUE"),
+                        ("kp=4,kp=5", "kp=4,kp=5 gives a parameter two values; keep one")):
         status, out, err = bowden(*words, "--set", given, "--overwrite")
         assert (status, out, said in err, err.count("\n")) == (2, "", True, 1), err
     status, _, err = bowden("trial", "--set", "kp=4", "-o", "b.mcap")
