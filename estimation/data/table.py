@@ -110,12 +110,20 @@ def _read_sheet(path: Path, joint: str | None) -> Table:
     for name in known:
         stated, unit = sheet.unit(name), _unit(name.partition(".")[2] or name)
         if stated and stated.replace("°", "deg") != unit:
-            raise InputError(f"{path}: {name} is in {stated} by the row of units; {offer(path)}.")
+            mend = f"write it in {unit}, as a map has no turning axis" if name.rpartition(".")[2] in TURNING \
+                else offer(path)
+            raise InputError(f"{path}: {name} is in {stated} by the row of units; {mend}.")
     made = table(str(path), {name: sheet.column(name) for name in known}, joint=joint)
     ignored = sorted(set(sheet.names) - set(known))
-    notes = (f"columns not used: {', '.join(ignored)}",) if ignored else ()
+    notes = _unused(ignored)
     read_as = (f"read with {', '.join(sheet.remarks)}",) if sheet.remarks else ()
     return replace(made, notes=(*made.notes, *notes, *read_as))
+
+
+def _unused(names: Sequence[str], most: int = 8) -> tuple[str, ...]:
+    """Return a note on columns that are not used, with the names of the first `most`; none without any."""
+    others = f" and {len(names) - most} more" if len(names) > most else ""
+    return (f"columns not used: {', '.join(names[:most])}{others}",) if names else ()
 
 
 def _known(name: str) -> bool:
@@ -160,7 +168,7 @@ def table(
     if turning:
         _refuse_mixed(source, columns, turning)
     ignored = sorted(set(columns) - set(known) - {DEGREE_ALIAS, *TURNING})
-    notes = (f"columns not used: {', '.join(ignored)}",) if ignored else ()
+    notes = _unused(ignored)
     whole, inside = known, _numbered(known)
     first = int(np.argmax(whole["cycle"] >= 0.0)) if inside is not whole else 0
     known, slow = _on_rows(inside)

@@ -346,5 +346,18 @@ def test_a_table_of_a_turning_axis_in_other_words_is_sent_to_the_columns_that_ar
     assert "N·m" in bowden("info", "new.csv")[1]
     (here / "volts.csv").write_text((here / "new.csv").read_text().replace("servo_torque_nm", "motor_voltage_v"))
     assert "motor_voltage_v    │    V │" in bowden("info", "volts.csv")[1]
+    (here / "degrees.csv").write_text((here / "new.csv").read_text().replace("x\n", "x\ns;deg;Nm;\n", 1))
+    assert "servo_position_rad is in deg by the row of units; write it in rad" in bowden(
+        "diagnose", "degrees.csv", "--healthy", "old.csv")[2]
     _, out, _ = bowden("diagnose", "new.csv", "--healthy", "old.csv")
     assert out.count("columns not used: x") == 1
+
+
+def test_of_many_columns_that_are_not_used_the_first_are_named_and_the_others_counted(
+        here: Path, bowden: Command) -> None:
+    for name, phase in (("new.csv", 0.0), ("old.csv", 0.5)):
+        turn = np.column_stack([TIME, np.sin(5 * TIME + phase), np.cos(5 * TIME + phase), *[TIME] * 11])
+        np.savetxt(here / name, turn, delimiter=",", comments="", header=",".join(
+            ["time_s", "servo_position_rad", "servo_torque_nm", *(f"x{k:02}" for k in range(11))]))
+    _, out, _ = bowden("diagnose", "new.csv", "--healthy", "old.csv")
+    assert "columns not used: x00, x01, x02, x03, x04, x05, x06, x07 and 3 more" in " ".join(out.split())
