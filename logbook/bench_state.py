@@ -157,16 +157,14 @@ NEWEST: Final = 60
 """Newest sessions that changes are searched in, besides the reference sessions: bounds the cost of a long logbook."""
 LEAST_REFERENCES: Final = 3
 """Reference sessions before anything is stated: two do not show how far sessions of a bench scatter."""
-SUSPECTED_NATS: Final = math.log(600.0)
+SUSPECTED_NATS: Final = math.log(5.0)
 """Log Bayes factor, averaged over all effects of the catalogue, from which a change is suspected and diagnosed.
 
-At most one bench in 600 without a change reaches it in any session (Ville's inequality) if the model is linear; it is
-not, so that a suspicion whose diagnosis finds nothing is stated from `ALARM_NATS` on alone."""
-ALARM_NATS: Final = 22.0
-"""Log Bayes factor, averaged likewise, from which a change is stated although its diagnosis finds nothing.
-
-Of 30 benches without a change one reaches 21.6 nats by several of its 20 sessions, the others less.  If it is too
-small, such benches alarm; if it is too large, a change that no diagnosis of one session shows is stated later."""
+At most one bench in five without a change reaches it in any session (Ville's inequality), which costs it a diagnosis.
+"""
+ALARM_NATS: Final = math.log(60.0)
+"""Log Bayes factor, averaged likewise, from which a change of several sessions is stated although the diagnosis of one
+of them finds nothing: at most one bench in 60 without a change reaches it."""
 SET_SHARE: Final = 0.5
 """Share of the best log Bayes factor from which an effect is in the ambiguity set, as in a single diagnosis."""
 CANNOT, UNCHANGED, CHANGED = "cannot tell yet", "unchanged", "changed"
@@ -349,8 +347,8 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
                                                               for n, v in (limits or {}).items()], **common)
     numbers, sequence = followed
     with threadpool_limits(1, user_api="blas"):
-        changes, covariance = sequence.search() if sequence.count > 1 else ([], sequence.scatter())
-        scatter = _deviations(sequence, changes, covariance)
+        changes, variance = sequence.search(), sequence.scatter()
+        scatter = _deviations(sequence, changes, variance)
     suspected = [_dated(sequence, numbers, change) for change in _suspected(changes)]
     state = BenchState(
         sessions=numbers, courses={}, changes=[_dated(sequence, numbers, change) for change in changes],
@@ -358,25 +356,23 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
         cause=kept_cause(book, suspected[0], numbers, common["notes"]) if suspected else None, **common)
     best = next((c for c in changes if state.alarms and c.effect == state.alarms[0].effect), None)
     with threadpool_limits(1, user_api="blas"):
-        courses = _courses(sequence, covariance, best)
+        courses = _courses(sequence, variance)
     return replace(state, courses=courses, forecasts=[
         _forecast(sequence, best, courses, n, v) for n, v in (limits or {}).items()])
 
 
 def _suspected(changes: Sequence[Change]) -> list[Change]:
-    """Return the effects of a suspected change that are as likely as the best one, beyond a common departure alone."""
+    """Return the effects of a suspected change that are as likely as the best one."""
     if not changes or averaged_nats(changes) < SUSPECTED_NATS:
         return []
-    # every effect may stand beside that departure, so that it has the least log Bayes factor of all
-    least = max(0.0, changes[-1].nats)
-    return [change for change in changes if change.nats - least >= SET_SHARE * (changes[0].nats - least)]
+    return [change for change in changes if change.nats >= SET_SHARE * changes[0].nats]
 
 
-def _deviations(sequence: SessionSequence, changes: Sequence[Change], covariance: Array) -> dict[str, float]:
+def _deviations(sequence: SessionSequence, changes: Sequence[Change], variance: Array) -> dict[str, float]:
     """Return 1σ between sessions by constant, in coordinates; of a suspected change, between those before it."""
     if suspected := _suspected(changes):
-        covariance = sequence.until(min(change.since for change in suspected)).scatter()
-    return dict(zip(CONSTANTS, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+        variance = sequence.until(min(change.since for change in suspected)).scatter()
+    return dict(zip(CONSTANTS, np.sqrt(variance).tolist(), strict=True))
 
 
 def averaged_nats(changes: Sequence[Change | DatedChange]) -> float:
@@ -412,7 +408,7 @@ def measured_deviations(book: Logbook) -> dict[str, float] | None:
     if followed is None or followed[1].count < 2:
         return None
     with threadpool_limits(1, user_api="blas"):
-        return _deviations(followed[1], *followed[1].search())
+        return _deviations(followed[1], followed[1].search(), followed[1].scatter())
 
 
 def _before(order: Sequence[int], numbers: Sequence[int], after: int) -> int:
@@ -423,11 +419,11 @@ def _before(order: Sequence[int], numbers: Sequence[int], after: int) -> int:
 
 def _dated(sequence: SessionSequence, numbers: Sequence[int], change: Change) -> DatedChange:
     since, low, high = (numbers[row] for row in (change.since, change.since_low, change.since_high))
-    return DatedChange(change.effect, change.nats, change.course, since, low, high, sequence.moved(change)[0])
+    return DatedChange(change.effect, change.nats, change.course, since, low, high, change.departure)
 
 
-def _courses(sequence: SessionSequence, covariance: Array, change: Change | None) -> dict[str, ConstantCourse]:
-    means, sds = sequence.constants(covariance, change)
+def _courses(sequence: SessionSequence, variance: Array) -> dict[str, ConstantCourse]:
+    means, sds = sequence.constants(variance)
     mean = sequence.fit.prior.coordinates(PATH_MODEL.constants)
     found = {}
     for k, i in enumerate(FREE):
@@ -440,7 +436,7 @@ def _courses(sequence: SessionSequence, covariance: Array, change: Change | None
 
         ends = np.stack([at(means[:, k] - 1.96 * sds[:, k]), at(means[:, k] + 1.96 * sds[:, k])])
         scatter, published = (float(abs(np.diff(at(np.array([0.0, sd])))[0]))
-                              for sd in np.sqrt([covariance[k, k], sequence.published[k]]))
+                              for sd in np.sqrt([variance[k], sequence.published[k]]))
         found[row.name] = ConstantCourse(row.name, row.unit, row.meaning, at(means[:, k]), ends.min(axis=0),
                                          ends.max(axis=0), scatter, published)
     return found
@@ -453,9 +449,9 @@ def _forecast(sequence: SessionSequence, change: Change | None, courses: Mapping
     The interval has the 95 % intervals of the departure and of the first session: slow paces began early.
     """
     k = CONSTANTS.index(name)
-    departure, sd = (np.zeros(len(FREE)),) * 2 if change is None else sequence.moved(change)
-    if change is None or change.course != "ramp" or not departure[k]:
+    if change is None or change.course != "ramp" or not change.departure[k]:
         return Forecast(name, limit, None, None, None)
+    departure, sd = change.departure, change.departure_sd
     goal, now = (coordinates_of(_with(sequence, k, value))[FREE[k]] for value in (limit, courses[name].value[-1]))
     paces = (departure[k] + np.array([1.96, 0.0, -1.96]) * np.sign(departure[k]) * sd[k]) / (
         sequence.count - np.array([change.since_high, change.since, change.since_low]))

@@ -141,7 +141,7 @@ def against_history(folder: Path, path: Path) -> dict[str, Any]:
             raise InputError(f"{folder}: has fewer than two other fitted sessions; bowden logbook add enters trials.")
         sequence = followed[1]
         own = session_sums(sequence.fit, sequence.columns, [recording_of(path, described.outcome, book.path)])
-        departure, scatters, probability = sequence.departure(own, sequence.search()[1])
+        departure, scatters, probability = sequence.departure(own, sequence.scatter())
         return {"trial": str(path), "logbook": str(folder), "sessions": sequence.count, "probability": probability,
                 "constants": {name: {"departure": float(departure[k]), "scatters": float(scatters[k]),
                                      "form": TABLE[FREE[k]].form, "unit": TABLE[FREE[k]].unit}
