@@ -21,7 +21,8 @@ def hidden() -> str | None:
         place = _place(name)
         if place is None:
             return f"the package {name} of bowden-bench is not installed beside bowden in {home}; install it again."
-        if _without_code(place) and (home / name / "__init__.py").exists():
+        # Python takes a folder without a Python file for a namespace package
+        if place.is_dir() and not any(place.glob("*.py")) and (home / name / "__init__.py").exists():
             behind_data.append(name)
         elif place.resolve() not in (home / name, home / name / "__init__.py"):
             return (f"{place} hides the package {name} of bowden-bench, which is in {home}; rename that file, leave "
@@ -30,11 +31,6 @@ def hidden() -> str | None:
         if name not in sys.modules:
             _load(name, home / name)
     return None
-
-
-def _without_code(place: Path) -> bool:
-    """Return whether a place is a folder without a Python file, which Python takes for a namespace package."""
-    return place.is_dir() and not any(place.glob("*.py"))
 
 
 def _load(name: str, home: Path) -> None:

@@ -265,19 +265,16 @@ def _stride(
     known = rows & ~unknown & (columns["phase_doubt_percent"] < NO_PHASE_PERCENT)
     kind = "rest" if unknown[rows].all() else "stumble" if unknown[rows].any() else "walk"
     off = rows & (unknown | (known & (np.abs(error) > APART_PERCENT))) & (end - true_desired_n > OFF_N)
+    idle = end[rows & (asked == 0.0) & ~between(felt, *IDLE_OUTSIDE_PERCENT)]
     return {
         "stride": number, "kind": kind, "period_s": float(rows.sum() / rate_hz),
         "assisted": bool((columns["phase_share"][rows & (true_desired_n > 0.0)] == 1.0).all()),
         "rmse_percent": relative_rmse(end - asked, rows, peak_n),
         "true_phase_rmse_percent": relative_rmse(end - true_desired_n, rows, peak_n),
         "phase_error_rms_percent": float(np.sqrt(np.mean(error[known] ** 2))) if known.any() else None,
-        "idle_n": _largest(end[rows & (asked == 0.0) & ~between(felt, *IDLE_OUTSIDE_PERCENT)]),
+        "idle_n": float(np.nanmax(np.abs(idle))) if np.isfinite(idle).any() else None,
         "off_phase_ms": 1e3 * _longest(off) / rate_hz,
     }
-
-
-def _largest(values: Floats) -> float | None:
-    return float(np.nanmax(np.abs(values))) if np.isfinite(values).any() else None
 
 
 def _longest(rows: Mask) -> int:

@@ -36,10 +36,6 @@ class Recovery:
     damaged: int = 0
     bytes_skipped: int = 0
 
-    def as_metadata(self) -> dict[str, str]:
-        """Return the counts as the metadata record "recovered" holds them."""
-        return {name: str(count) for name, count in vars(self).items()}
-
 
 def recover(
     torn: str | Path, whole: str | Path, *, overwrite: bool = False, progress: Progress = silent
@@ -89,7 +85,7 @@ def _copy(
     else:
         _keep(made, bytes(loose), numbers, found)
     found.bytes_skipped = sum(skipped)
-    made.metadata("recovered", found.as_metadata())
+    made.metadata("recovered", {name: str(count) for name, count in vars(found).items()})
     made.finish()
     return found
 

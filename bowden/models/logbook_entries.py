@@ -174,12 +174,9 @@ def _described(path: Path, figures: Mapping[str, Any] | None, force_path: str) -
     result = recorded.result or {}
     outcome = None if "imported_from" in told else str(result.get("outcome", "not closed"))
     lasts = float(recorded.time_ns[-1] - recorded.time_ns[0]) * 1e-9 if len(recorded.time_ns) else 0.0
+    found = judged(recorded) if figures is None else figures
     return NewTrial(path, digest, told.get("experiment", ""), outcome, lasts, told | _recorded_date(recorded),
-                    _figures(judged(recorded) if figures is None else figures), told.get("commit", ""))
-
-
-def _figures(found: Mapping[str, Any]) -> dict[str, Any]:
-    return {one.name: found.get(one.name) for one in FORCE_FIGURES} if found else {}
+                    {one.name: found.get(one.name) for one in FORCE_FIGURES} if found else {}, told.get("commit", ""))
 
 
 def _recorded_date(recorded: read.Trial) -> dict[str, str]:

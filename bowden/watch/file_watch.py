@@ -276,7 +276,8 @@ class FileWatch:
             if "tension_start_n" not in outputs:
                 raise InputError(f"{self._file.path}: no START tension; the watch simulates the force path against it.")
             with threadpool_limits(1, user_api="blas"):
-                recordings = [PathRecording(_only(t, outputs)) for t in self._tables]
+                recordings = [PathRecording(replace(t, columns={
+                    n: v for n, v in t.columns.items() if n not in SIGNALS or n in outputs})) for t in self._tables]
                 fit = fit_reference(PATH_MODEL, recordings, self._bench.session_sd)
             naming = Naming(threshold(PATH_MODEL), self._diagnosed)
             self._evidence[outputs] = RunningEvidence(fit, DRIFT_S, naming, _missed_n(self._tables))
@@ -298,10 +299,6 @@ def as_json(found: Findings) -> dict[str, Any]:
     """Return the part of a diagnosis that a watch reports."""
     whole = found.as_json()
     return {name: whole[name] for name in ("verdict", "causes", "class", "experiment", "warnings")}
-
-
-def _only(given: Table, outputs: Sequence[str]) -> Table:
-    return replace(given, columns={n: v for n, v in given.columns.items() if n not in SIGNALS or n in outputs})
 
 
 def _period_s(tables: Sequence[Table]) -> float:

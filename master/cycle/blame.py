@@ -69,7 +69,8 @@ def blamed(finding: Implausibility, path: PathNodes) -> StopError:
     if relation in _TENSIONS and finding.frozen:
         return StopError(Condition.OFF_TARGET, "servo position repeats one value to the last bit while its target and "
                                                f"{_TEXTS[relation][0]} change", path.servo)
-    both = "targets that do not reach the drives, or both drives: " if _both_off(finding) else ""
+    both_off = min(abs(finding.ratios[SERVO_TRACK]), abs(finding.ratios[KNEE_TRACK])) > _TOGETHER
+    both = "targets that do not reach the drives, or both drives: " if both_off else ""
     if relation == SERVO_TRACK:
         return StopError(Condition.OFF_TARGET, f"{both}servo position is {1e3 * seen:.2f} mm, by its targets it "
                                                f"would be {1e3 * expected:.2f} mm", path.servo)
@@ -94,11 +95,6 @@ def blamed(finding: Implausibility, path: PathNodes) -> StopError:
     return StopError(Condition.IMPLAUSIBLE, f"{suspect.words}: {what} is {scale * seen:.1f} {unit}, "
                                             f"expected about {scale * expected:.1f} {unit}{fits}",
                      0 if suspect.place == NOBODY else path[suspect.place])
-
-
-def _both_off(finding: Implausibility) -> bool:
-    """Return whether both axes are far from the position that their targets lead to."""
-    return min(abs(finding.ratios[SERVO_TRACK]), abs(finding.ratios[KNEE_TRACK])) > _TOGETHER
 
 
 def suspected(finding: Implausibility) -> Suspect:

@@ -44,11 +44,6 @@ SWING: Final = 0.2
 """Greatest relative difference between homing's rope_per_knee and a calibration's."""
 
 
-def unlike_packaged(calibration: Calibration) -> bool:
-    """Return whether the calibration's lever is so unusual that homing must measure it first."""
-    return abs(calibration.rope_per_knee / PACKAGED_ROPE_PER_KNEE - 1.0) > SWING_UNLIKE
-
-
 def refuse_swing(calibration: Calibration, found: float) -> None:
     """Raise `BringUpError`, with both numbers, if homing `found` a rope_per_knee, m/rad, unlike the calibration's."""
     if abs(found / calibration.rope_per_knee - 1.0) > SWING:
@@ -167,7 +162,7 @@ def home(
         rows = [(start_n, rope_m - of, knee) for (start_n, rope_m, knee), of in zip(rows, more.tolist(), strict=True)]
         pulled, released = rows[:len(pulled)], rows[len(pulled):]
     at = [crossing(rows, start_gain * calibration.home_preload) for rows in (pulled, released)]
-    if unlike_packaged(calibration) and not guessed:
+    if abs(calibration.rope_per_knee / PACKAGED_ROPE_PER_KNEE - 1.0) > SWING_UNLIKE and not guessed:
         _refuse_other_swing(exchange, calibration, homing, sum(at) / 2.0, start_gain)
     refuse_disagreement(exchange, calibration, guessed=guessed)
     shift = float(stretch.position(calibration, calibration.home_preload)) - 0.5 * (at[0] + at[1])

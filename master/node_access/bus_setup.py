@@ -12,7 +12,7 @@ from master.network.link import Link
 from master.network.sdo import SdoError
 from master.node_access import object_text, pdo_settings
 from master.node_access.node_scan import FoundNode
-from master.node_access.pdo_settings import TPDO, PdoState
+from master.node_access.pdo_settings import TPDO
 from master.node_access.remote_node import NodeAccess
 from parameters import InputError
 
@@ -93,11 +93,7 @@ def described(link: Link, found: FoundNode) -> BusYmlDevice:
 
 def _pdos(link: Link, node_id: int, dictionary: Dictionary | None) -> Iterator[BusPdo]:
     for state in pdo_settings.read_all(link, node_id, dictionary):
+        timer = state.parameters["event_timer"] if state.object >= TPDO else None  # of an RPDO it is the deadline
         yield BusPdo(state.name, state.valid, (state.parameters["cob_id"] or 0) & 0x7FF, state.parameters["type"],
-                     state.parameters["inhibit"] or None, _timer(state),
+                     state.parameters["inhibit"] or None, timer or None,
                      tuple((word >> 16, word >> 8 & 0xFF) for word in state.mapping))
-
-
-def _timer(state: PdoState) -> int | None:
-    """Return the event timer of a TPDO; that sub-index of an RPDO is its deadline."""
-    return (state.parameters["event_timer"] or None) if state.object >= TPDO else None

@@ -124,19 +124,14 @@ def _summary(
     rows, first_ns, last_ns, _ = view.extent
     seconds = (last_ns - first_ns) / 1e9 if rows else None
     facts = {**trial.metadata, **{name: value for name, value in result.items() if name not in SAID}}
-    page.facts({**{name: _cell(value) for name, value in shown(facts).items()},
-                **_counted(rows, frames, len(trial.events)), "recorded time": quantity(seconds, "s")})
+    counts = {"control cycles": rows, "CAN frames": frames, "events": len(trial.events)} if frames else {"rows": rows}
+    page.facts({**{name: _cell(value) for name, value in shown(facts).items()}, **counts, "recorded time": quantity(seconds, "s")})
     rest = folded(facts)
     if rest:
         page.attachment("commit, digests and homing", "".join(f"{name}: {_cell(one)}\n" for name, one in rest.items()))
     missing = unknown(view.drawn)
     if missing:
         page.text(f"Not in this trial: {', '.join(dict.fromkeys(map(words, missing)))}.", "note")
-
-
-def _counted(rows: int, frames: int, events: int) -> dict[str, Cell]:
-    """Count what there is: rows of a table, or cycles, frames and events of a bus."""
-    return {"control cycles": rows, "CAN frames": frames, "events": events} if frames else {"rows": rows}
 
 
 def _cell(value: object) -> Cell:
