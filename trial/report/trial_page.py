@@ -125,7 +125,8 @@ def _summary(
     seconds = (last_ns - first_ns) / 1e9 if rows else None
     facts = {**trial.metadata, **{name: value for name, value in result.items() if name not in SAID}}
     counts = {"control cycles": rows, "CAN frames": frames, "events": len(trial.events)} if frames else {"rows": rows}
-    page.facts({**{name: _cell(value) for name, value in shown(facts).items()}, **counts, "recorded time": quantity(seconds, "s")})
+    page.facts({**{name: _cell(value) for name, value in shown(facts).items()}, **counts,
+                "recorded time": quantity(seconds, "s")})
     rest = folded(facts)
     if rest:
         page.attachment("commit, digests and homing", "".join(f"{name}: {_cell(one)}\n" for name, one in rest.items()))
