@@ -77,8 +77,7 @@ def quiet() -> bool:
 
 def emit(result: Mapping[str, Any]) -> None:
     """Write one JSON object on stdout, keys as given; an undefined number (NaN, infinite) is null."""
-    json.dump(_defined(result), sys.stdout, ensure_ascii=False, allow_nan=False)
-    sys.stdout.write("\n")
+    print(json.dumps(_defined(result), ensure_ascii=False, allow_nan=False))
 
 
 def _defined(value: Any) -> Any:
