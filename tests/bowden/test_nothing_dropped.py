@@ -361,3 +361,35 @@ def test_of_many_columns_that_are_not_used_the_first_are_named_and_the_others_co
             ["time_s", "servo_position_rad", "servo_torque_nm", *(f"x{k:02}" for k in range(11))]))
     _, out, _ = bowden("diagnose", "new.csv", "--healthy", "old.csv")
     assert "columns not used: x00, x01, x02, x03, x04, x05, x06, x07 and 3 more" in " ".join(out.split())
+
+
+def read_back(bowden: Command, text: str) -> tuple[dict[str, np.ndarray], str]:
+    """Import a table by its guessed map; return its columns and what was printed."""
+    Path("lab.csv").write_text(text, encoding="utf-8")
+    status, guess, err = bowden("import", "lab.csv", "--guess", "-o", "map.toml", "--overwrite")
+    assert (status, err) == (0, "")
+    status, out, err = bowden("import", "lab.csv", "--map", "map.toml", "-o", "lab.mcap", "--overwrite")
+    assert (status, err) == (0, "")
+    return trial.open("lab.mcap").columns, " ".join(f"{guess} {out}".split())
+
+
+def test_cells_with_their_units_are_read(here: Path, bowden: Command) -> None:
+    rows = [f"{1e3 * t:.0f} ms;{(10 + t) / 1e3:.5f} kN;{50 * t % 100:.1f}%" for t in TIME]
+    columns, out = read_back(bowden, "\n".join(["time;start force;gait_percent", *rows]))
+    assert columns["tension_start_n"] == pytest.approx(10 + TIME)
+    assert columns["gait_percent"] == pytest.approx(50 * TIME % 100)
+    assert "units in the cells" in out
+
+
+def test_a_name_over_two_lines_and_a_true_minus_are_read(here: Path, bowden: Command) -> None:
+    rows = [f"{t:.2f};{10 + t:.2f};{0.5 * np.sin(t):.4f}".replace("-", "−") for t in TIME]
+    columns, _ = read_back(bowden, "\n".join(['"time\n(s)";"start force\n(N)";"rope\nposition (m)"', *rows]))
+    assert columns["tension_start_n"] == pytest.approx(10 + TIME)
+    assert columns["servo_position_m"] == pytest.approx(0.5 * np.sin(TIME), abs=1e-4)
+
+
+def test_a_rope_that_pushes_is_asked_about(here: Path, bowden: Command) -> None:
+    rows = [f"{t:.2f},{-10 - t:.2f},{5 + t:.2f}" for t in TIME]
+    _, out = read_back(bowden, "\n".join(["time,start force,end force", *rows]))
+    assert out.count("is below 0, and a rope only pulls: does scale = -1 turn it?") == 2
+    assert "tension_end_n: 'end force' is below" not in out

@@ -105,6 +105,17 @@ class _Line(NamedTuple):
     text: str
 
 
+def _whole_lines(lines: Sequence[str], most: int = 20) -> Iterable[_Line]:
+    """Yield lines, those of a quoted cell that has line ends as one, if its end is within `most` lines."""
+    row = 0
+    while row < len(lines):
+        end = row + 1
+        if lines[row].count('"') % 2:
+            end = next((k + 1 for k in range(row + 1, min(row + most, len(lines))) if lines[k].count('"') % 2), end)
+        yield _Line(row + 1, " ".join(lines[row:end]))
+        row = end
+
+
 class _Reading:
     """One file on its way from bytes to a sheet."""
 
@@ -114,10 +125,10 @@ class _Reading:
         self.remarks: list[str] = [] if encoding in ("utf-8", "utf-8-sig") else [encoding.upper()]
         self.counts: dict[str, int] = {}
         self.encoding, self.units_row, self.comma = encoding, 0, False
-        every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        every = text.replace("\r\n", "\n").replace("\r", "\n").replace("\u2212", "-").split("\n")  # a true minus
         marks = (dialect.comment,) if dialect.comment else COMMENTS
         self.lines, self.comments = list[_Line](), list[_Line]()
-        for row, line in enumerate(every, start=1):
+        for row, line in _whole_lines(every) if '"' in text else enumerate(every, start=1):
             if line and not line.isspace():
                 (self.comments if line.lstrip().startswith(marks) else self.lines).append(_Line(row, line))
         if self.comments:
@@ -267,7 +278,7 @@ class _Reading:
         columns = list(zip(*self._rows(body, len(found.names)), strict=True))
         self.comma = self.dialect.decimal == "," or (not self.dialect.decimal and self._has_decimal_comma(columns))
         self.remarks += ["decimal comma"] if self.comma else []
-        absolute, marks = list[str](), "marks between thousands"
+        absolute, marks, glued = list[str](), "marks between thousands", "units in the cells"
         for place, cells in enumerate(columns):
             name = found.names[place]
             whole = _thousands(cells, "." if self.comma else ",")
@@ -276,6 +287,10 @@ class _Reading:
                 whole = [_THOUSANDS.sub(lambda number: number[0].replace(number[1], ""), cell) for cell in cells]
                 values, fault = _parsed(whole, self.comma)
             self.remarks += [marks] if whole and marks not in self.remarks else []
+            if fault is not None and (unit := _unit_in(cells)):
+                values, fault = _parsed([_UNITED.sub(r"\1", cell) for cell in cells], self.comma)
+                found.units[place] = unit
+                self.remarks += [glued] if glued not in self.remarks else []
             timed = None if fault is None else time_column(cells)
             if timed is not None:
                 values, found.begins_ns[name], found.units[place] = timed.seconds, timed.begins_ns, "s"
@@ -308,8 +323,8 @@ def _many(count: int, what: str) -> str:
 def _numeric_share(cells: Sequence[str]) -> float:
     """Return the share of cells, of those that hold something, that are numbers or times."""
     filled = [cell for cell in cells[:CELLS] if cell.strip().lower() not in UNKNOWN]
-    return sum(bool(_NUMBER.match(cell) or _COMMA_NUMBER.match(cell) or is_time(cell)) for cell in filled) / max(
-        1, len(filled))
+    return sum(bool(_NUMBER.match(cell) or _COMMA_NUMBER.match(cell) or is_time(cell) or _unit_in([cell]))
+               for cell in filled) / max(1, len(filled))
 
 
 def _delimiter(sample: Sequence[str]) -> str:
@@ -339,6 +354,18 @@ def _plain_share(cells: Sequence[str], delimiter: str) -> float:
 
 _THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}([.,])\d{3}(?:\1\d{3})*(?!\1)[.,]\d+\s*$")
 """Number with marks between its thousands and another decimal mark: 1.234,5 or 1,234.5."""
+
+
+_UNITED = re.compile(r"\s*([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*([^\W\d][\w/]*|%|°)\s*$")
+"""Number with a unit behind it."""
+
+
+def _unit_in(cells: Sequence[str]) -> str:
+    """Return the known unit that every number of a column has behind it; "" without one."""
+    parted = [_UNITED.match(cell) for cell in cells if cell.strip().lower() not in UNKNOWN]
+    units = {one and one[2] for one in parted}
+    unit = units.pop() if len(units) == 1 else None
+    return unit if unit and unit_of(unit) else ""
 
 
 _WHOLE = {mark: re.compile(rf"\s*[+-]?[1-9]\d{{0,2}}(?:\{mark}\d{{3}})+\s*$") for mark in ".,"}

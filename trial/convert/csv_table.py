@@ -125,6 +125,7 @@ def _questions(columns: Mapping[str, Floats], slow_s: float = 0.5) -> dict[str, 
     slow = {"time_s": f"advances {usual:.4g} s a row, so that motion is not seen: is it in milliseconds?"}
     asked = {name: _question(UNITS[name], UNITS[name], True, values[np.isfinite(values)])
              for name, values in columns.items() if UNITS[name] in MOST and np.isfinite(values).any()}
+    asked |= {name: PUSHES for name, values in columns.items() if _pushes(name, values)}
     asked |= {name: "has no value in any row" for name, values in columns.items() if not np.isfinite(values).any()}
     return {name: question for name, question in ((slow if usual > slow_s else {}) | asked).items() if question}
 
@@ -353,6 +354,7 @@ def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
     score = 10.0 * (name == signal) + 2 * met + 0.5 * _met(words, wanted.likes) + bool(unit) - 0.1 * len(words)
     chosen, scale, why = _unit(signal, si, unit, known)
     question = "has no unit: is it in inches?" if si == "m" and not unit and name.lower().endswith("_in") else ""
+    question = PUSHES if _pushes(signal, known) else question
     return Guess(signal, name, chosen, scale, why, score, question or _question(si, chosen, bool(unit), known))
 
 
@@ -365,6 +367,15 @@ def _question(si: str, unit: str, stated: bool, known: Floats) -> str:
         return ""
     return (f"reaches {largest:.4g} {si}, more than a rope bench has: "
             f"{'is the unit right?' if stated else 'no unit is stated, so which is it?'}")
+
+
+PUSHES = "is below 0, and a rope only pulls: does scale = -1 turn it?"
+
+
+def _pushes(signal: str, values: Floats) -> bool:
+    """Return whether a tension of a rope is below 0 in nearly every row."""
+    known = values[np.isfinite(values)]
+    return signal in ("tension_start_n", "tension_end_n") and len(known) > 0 and float(np.mean(known < 0.0)) > 0.95
 
 
 def _met(words: set[str], group: frozenset[str]) -> int:
