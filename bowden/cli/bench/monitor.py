@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -68,8 +69,8 @@ def monitor(
             if table or words.kind not in kinds or (wanted and words.node_id not in wanted):
                 continue
             if terminal.quiet():
-                terminal.emit({"time_ns": frame.time_ns, "can_id": frame.can_id, "data": frame.data.hex(),
-                               **words._asdict()})
+                print(json.dumps({"time_ns": frame.time_ns, "can_id": frame.can_id, "data": frame.data.hex(),
+                                  **words._asdict()}, ensure_ascii=False))  # no number here is undefined
             else:
                 print(f"{(frame.time_ns - (seen.first_ns or 0)) / 1e9:12.6f}  {frame.can_id:03X}  "
                       f"{words.node_id or '':3}  {words.text}")
