@@ -354,11 +354,11 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
         sessions=numbers, courses={}, changes=[_dated(sequence, numbers, change) for change in changes],
         suspected=suspected, scatter=scatter,
         cause=kept_cause(book, suspected[0], numbers, common["notes"]) if suspected else None, **common)
-    best = next((c for c in changes if state.alarms and c.effect == state.alarms[0].effect), None)
     with threadpool_limits(1, user_api="blas"):
         courses = _courses(sequence, variance)
+    stated = [change for change in _suspected(changes) if state.alarms]
     return replace(state, courses=courses, forecasts=[
-        _forecast(sequence, best, courses, n, v) for n, v in (limits or {}).items()])
+        _forecast(sequence, stated, courses, n, v) for n, v in (limits or {}).items()])
 
 
 def _suspected(changes: Sequence[Change]) -> list[Change]:
@@ -442,21 +442,25 @@ def _courses(sequence: SessionSequence, variance: Array) -> dict[str, ConstantCo
     return found
 
 
-def _forecast(sequence: SessionSequence, change: Change | None, courses: Mapping[str, ConstantCourse], name: str,
+def _forecast(sequence: SessionSequence, changes: Sequence[Change], courses: Mapping[str, ConstantCourse], name: str,
               limit: float) -> Forecast:
-    """Return when a constant that a ramp moves reaches a limit, if the ramp goes on.
+    """Return when a constant reaches a limit if a ramp of any of the stated `changes` that moves it goes on.
 
-    The interval has the 95 % intervals of the departure and of the first session: slow paces began early.
+    The interval is over these, with the 95 % intervals of the departure and of the first session: slow paces began
+    early.
     """
-    k = CONSTANTS.index(name)
-    if change is None or change.course != "ramp" or not change.departure[k]:
-        return Forecast(name, limit, None, None, None)
-    departure, sd = change.departure, change.departure_sd
+    k, ends = CONSTANTS.index(name), []
     goal, now = (coordinates_of(_with(sequence, k, value))[FREE[k]] for value in (limit, courses[name].value[-1]))
-    paces = (departure[k] + np.array([1.96, 0.0, -1.96]) * np.sign(departure[k]) * sd[k]) / (
-        sequence.count - np.array([change.since_high, change.since, change.since_low]))
-    high, middle, low = (float((goal - now) / pace) if (goal - now) * pace > 0.0 else None for pace in paces[::-1])
-    return Forecast(name, limit, middle, low, high)
+    for change in changes:
+        if change.course == "ramp" and change.departure[k]:
+            departure, sd = change.departure[k], change.departure_sd[k]
+            paces = (departure + np.array([1.96, 0.0, -1.96]) * np.sign(departure) * sd) / (
+                sequence.count - np.array([change.since_high, change.since, change.since_low]))
+            ends.append([(goal - now) / pace if (goal - now) * pace > 0.0 else math.inf for pace in paces])
+    if not ends:
+        return Forecast(name, limit, None, None, None)
+    low, middle, high = np.min(ends, axis=0)[0], np.median(ends, axis=0)[1], np.max(ends, axis=0)[2]
+    return Forecast(name, limit, *(float(each) if np.isfinite(each) else None for each in (middle, low, high)))
 
 
 def _with(sequence: SessionSequence, k: int, value: float) -> Array:

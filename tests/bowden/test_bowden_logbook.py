@@ -315,6 +315,13 @@ def test_measured_scatter_replaces_the_published_one(accuracy: Accuracy, here: P
     assert found["session_sd"] > 2.0 * found["published_session_sd"]
 
 
+def test_a_session_that_departs_alone_is_no_change(accuracy: Accuracy, here: Path, bowden: Callable[..., Any]) -> None:
+    """Its fit may have ended in another minimum: far from all others, and not repeated."""
+    far = {name: 13.0 * float(PUBLISHED[CONSTANTS.index(name)]) for name in ("surface", "cable_compliance")}
+    sessions = drawn(accuracy, 4, 14, lambda k: far if k == 9 else {})
+    assert shown(bowden, written(here / "book", accuracy, sessions))["alarms"] == []
+
+
 DRIFTS = {
     "cable friction +30 % over 15 sessions": ("cable_friction", lambda k: {"cable": 0.26 * max(0, k - 10) / 15}),
     "backlash 26 mrad": ("knee_backlash", lambda k: {"play": 0.013 if k >= 20 else 0.0}),
