@@ -53,3 +53,11 @@ def test_the_report_of_a_log_speaks_of_control_cycles_and_of_inputs(bowden: Call
     assert "gait cycles 200" not in page
     assert ">servo inputs, arrival<" in page
     assert "time_s (s)" not in page
+
+
+def test_the_report_of_one_gait_cycle_speaks_of_one(bowden: Callable[..., Any], here: Path) -> None:
+    assert bowden("trial", "--cycles", 1, "--settle", 0, "--period", 1.0, "-o", "one.mcap")[0] == 0
+    assert bowden("report", "one.mcap", "-o", "one.html")[0] == 0
+    page = Path("one.html").read_text()
+    assert "Gait cycle 0 counts, peak 40 N" in page
+    assert "One gait cycle." in page

@@ -172,7 +172,7 @@ def _by_cycle(page: Page, cycles: GaitCycles, setting: TrialSetting) -> None:
 
 def _cycles_drawn(cycles: GaitCycles) -> str:
     if cycles.count <= SINGLE_CYCLES:
-        return f"{cycles.count} gait cycles, each drawn as its own line."
+        return "One gait cycle." if cycles.count == 1 else f"{cycles.count} gait cycles, each drawn as its own line."
     worst = f", the worst (cycle {cycles.worst})" if cycles.worst_lines else ""
     return f"The band spans all {cycles.count} gait cycles; the lines are the first{worst} and the last."
 

@@ -159,7 +159,9 @@ def _figures(
     page.tiles([Tile(number(found[name], 3), unit if found[name] is not None else "",
                      text, f"paper: {published[name]}" if name in published else "")
                 for name, unit, text in FIGURES])
-    page.text(f"Gait cycles {judged.settle} to {judged.cycles - 1} count, peak {number(judged.peak_n)} N; END as "
+    last = judged.cycles - 1
+    counted = f"Gait cycle {last} counts" if judged.settle == last else f"Gait cycles {judged.settle} to {last} count"
+    page.text(f"{counted}, peak {number(judged.peak_n)} N; END as "
               "recorded at the latch that holds the desired force; in idle and at the peak after a 20 Hz zero-phase "
               "low-pass."
               + (f" Read off the columns: {', '.join(judged.read_off)}." if judged.read_off else ""), "note")
