@@ -273,8 +273,12 @@ class BenchState:
         """Return what changed, since when and by which evidence, in sentences; the most important one first."""
         if self.verdict == CANNOT:
             fitted = "1 session is" if len(self.sessions) == 1 else f"{len(self.sessions)} sessions are"
-            return [f"Cannot tell yet: {fitted} fitted; a change is stated from "
+            told = [f"Cannot tell yet: {fitted} fitted; a change is stated from "
                     f"{self.needed + 1} on, {self.needed} of them the reference."]
+            if without := self.counts["session"] - len(self.sessions):
+                told.append(f"{without} more {'session has' if without == 1 else 'sessions have'} no trial that could "
+                            "be fitted; bowden logbook show --trial NUMBER says why.")
+            return told
         if self.verdict == UNCHANGED:
             unchanged = (f"No change in {len(self.sessions)} sessions beyond their scatter; the first "
                          f"{self.needed} are the reference.")

@@ -154,7 +154,8 @@ def _tables(result: dict[str, Any], *, dry_run: bool) -> Words:
     figure = terminal.number
     paper = {} if dry_run else {
         "relative_rmse_percent": figures.PAPER_RMSE_PERCENT.get(result["peak_n"]), "max_idle_tension_n": "< 1"}
-    title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {result['cycles']} cycles, {result['rate_hz']} Hz, "
+    cycles = f"{result['cycles']} cycle{'' if result['cycles'] == 1 else 's'}"
+    title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {cycles}, {result['rate_hz']} Hz, "
              f"controller {result['controller']}, calibration {result['calibration']}: {result['outcome']}")
     shown = [(f"{name}, {found['peak_n']:g} N", found) for name, found in result.get("paths", {}).items()]
     for headline, found in shown or [(title, result)]:
