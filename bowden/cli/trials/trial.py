@@ -95,9 +95,8 @@ def _performed(prepared: session.PreparedTrial, network: Any, output: Path, pict
             for path, place in zip(network.bench.path_prefixes, feeds.places(network, ("cycle",)), strict=True)}
         page = None if web is None else opened.enter_context(feeds.of_trial(
             web, output.name, network, lambda url: terminal.remark(f"live page: {url}")))
-        if page is not None:
-            for watch in watches.values():
-                watch.show = page.suspected
+        for watch in watches.values() if page is not None else ():
+            watch.show = page.suspected
         result = session.perform(
             prepared, output, picture, overwrite=overwrite, announce="" if terminal.quiet() else chosen.announced(),
             progress=terminal.Terminal(shown=not watches),
@@ -154,8 +153,8 @@ def _tables(result: dict[str, Any], *, dry_run: bool) -> Words:
     figure = terminal.number
     paper = {} if dry_run else {
         "relative_rmse_percent": figures.PAPER_RMSE_PERCENT.get(result["peak_n"]), "max_idle_tension_n": "< 1"}
-    cycles = f"{result['cycles']} cycle{'' if result['cycles'] == 1 else 's'}"
-    title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {cycles}, {result['rate_hz']} Hz, "
+    title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {result['cycles']} "
+             f"cycle{'s' * (result['cycles'] != 1)}, {result['rate_hz']} Hz, "
              f"controller {result['controller']}, calibration {result['calibration']}: {result['outcome']}")
     shown = [(f"{name}, {found['peak_n']:g} N", found) for name, found in result.get("paths", {}).items()]
     for headline, found in shown or [(title, result)]:
