@@ -95,8 +95,9 @@ def _performed(prepared: session.PreparedTrial, network: Any, output: Path, pict
             for path, place in zip(network.bench.path_prefixes, feeds.places(network, ("cycle",)), strict=True)}
         page = None if web is None else opened.enter_context(feeds.of_trial(
             web, output.name, network, lambda url: terminal.remark(f"live page: {url}")))
-        for watch in watches.values() if page is not None else ():
-            watch.show = page.suspected
+        if page is not None:
+            for watch in watches.values():
+                watch.show = page.suspected
         result = session.perform(
             prepared, output, picture, overwrite=overwrite, announce="" if terminal.quiet() else chosen.announced(),
             progress=terminal.Terminal(shown=not watches),
@@ -150,11 +151,10 @@ def _words_of_watch(path: str, watch: dict[str, Any]) -> str:
 
 def _tables(result: dict[str, Any], *, dry_run: bool) -> Words:
     """Yield the force figures of each path, and those of strides that differ: errors of force and phase."""
-    figure = terminal.number
     paper = {} if dry_run else {
         "relative_rmse_percent": figures.PAPER_RMSE_PERCENT.get(result["peak_n"]), "max_idle_tension_n": "< 1"}
-    title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {result['cycles']} "
-             f"cycle{'s' * (result['cycles'] != 1)}, {result['rate_hz']} Hz, "
+    cycles = f"{result['cycles']} cycle{'' if result['cycles'] == 1 else 's'}"
+    title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {cycles}, {result['rate_hz']} Hz, "
              f"controller {result['controller']}, calibration {result['calibration']}: {result['outcome']}")
     shown = [(f"{name}, {found['peak_n']:g} N", found) for name, found in result.get("paths", {}).items()]
     for headline, found in shown or [(title, result)]:
@@ -168,9 +168,9 @@ def _tables(result: dict[str, Any], *, dry_run: bool) -> Words:
                 (name, *(walk[key][part] for part in ("median", "percentile_95", "worst")))
                 for name, key in (("against the force asked for, at the felt phase", "rmse_percent"),
                                   ("against the desired force at the true phase", "true_phase_rmse_percent"))])
-        yield (f"Phase: {figure(walk['phase_error_rms_percent'])} % of the gait rms; largest END at idle "
-               f"{figure(walk['idle_n'])} N; longest time with more than 3 N off phase "
-               f"{figure(walk['off_phase_ms'])} ms")
+        yield (f"Phase: {terminal.number(walk['phase_error_rms_percent'])} % of the gait rms; largest END at idle "
+               f"{terminal.number(walk['idle_n'])} N; longest time with more than 3 N off phase "
+               f"{terminal.number(walk['off_phase_ms'])} ms")
 
 
 @app.command(example="bowden verify extended.toml --plant-model bench.toml --cycles 4 -o verify.mcap")
