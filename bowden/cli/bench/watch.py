@@ -121,11 +121,10 @@ def watch(
 
 
 def _file(trial: Path, bench: WatchedBench, seconds: float | None) -> CommandAnswer:
-    over = ending.after(seconds)
     with terminal.fitting("fitting the reference trials"):
         watched = file_watch.FileWatch(trial, bench)
     cycles = []
-    for verdict in watched.follow(over, terminal.remark):
+    for verdict in watched.follow(ending.after(seconds), terminal.remark):
         cycles.append(verdict.as_json())
         if not terminal.quiet():
             print(watched.told(verdict), flush=True)
