@@ -1,4 +1,4 @@
-"""Processor time of operations of this package and of the usual library for each, and their ratio: docs/performance.md.
+"""Processor time of operations of this package and of the usual library for each, and their ratio.
 
     python -m benchmarks.performance                     # `make bench`: prints the table and writes it into the page
     python -m benchmarks.performance --rows cycle pdo    # these rows alone, printed

@@ -3,7 +3,7 @@
 With s a session, x_s its departure from the posterior's mean, and a the size of an effect, all with a Gaussian prior:
 
     e_s = H_s x_s + E_s a + ε_s        x_s = b + R_s r + δ_s,  b ~ N(0, population),  δ_s ~ N(0, D),  D as published
-    r: offset of constants that maintenance reset, and a departure δ of all of them; R_s = 1 after it
+    r: offset of constants that maintenance reset, and a departure like δ of all of them; R_s = 1 after it
 
 δ_s is integrated out of the sums T of a session (`linear_sums`) with K = (D⁻¹ + A)⁻¹, A = HᵀWH.  b and r are those of
 all sessions together.  Each session then has a score of the effect, of unit variance if all this holds:
@@ -81,10 +81,9 @@ class SessionSequence:
 
     def __init__(self, fit: ReferenceFit, columns: Sequence[EffectColumns], sessions: Sequence[SessionSums],
                  references: int, resets: Sequence[Reset] = (), scatter_sessions: float = 10.0) -> None:
-        """Store the sessions; `scatter_sessions`: weight of the published scatter, in sessions.
+        """Store the sessions; `scatter_sessions`: weight of the published scatter in `scatter`, in sessions.
 
-        If it is too small, an enlarged scatter explains a change; if it is too large, benches that scatter more than
-        published alarm.
+        With as many sessions the measured scatter of a constant has half the weight.
         """
         self.fit, self.columns, self.resets, self.references = fit, columns, tuple(resets), references
         table = fit.model.constants
@@ -297,8 +296,8 @@ def _regression(design: Array, variances: Array, values: Array, sessions: float 
     """Return log evidence, and mean and 1σ of the last coefficient, of designs of shape (designs, rows, columns).
 
     values = X·β + ε, ε ~ N(0, σ²), β ~ N(0, σ² V), ν₀/σ² ~ χ²(ν₀).  `variances`: diagonal of V.  `sessions`: ν₀, weight
-    of a scatter of 1.  With 20, benches without a change reach 4.5 nats where they reach 2.4 with 10, and fewer changes
-    exceed them; with 4, a stiffness of -12 % is stated half as often.
+    of a scatter of 1.  If it is too large, a bench that scatters more than published alarms; if it is too small, a
+    small change is stated later.
     """
     # ln p = −½ ln det(I + XVXᵀ) − ½ (ν₀ + n) ln(ν₀ + yᵀ(I + XVXᵀ)⁻¹y), up to a constant of the values
     precision = np.diag(1.0 / variances) + design.transpose(0, 2, 1) @ design

@@ -303,7 +303,7 @@ class BenchState:
             return []
         since, session = (self.labels.get(n) for n in (self.suspected[0].since, self.cause.session))
         return [f"A change since session {since} has {self.suspected[0].nats:.0f} nats, but the diagnosis of session "
-                f"{session} finds none. It is stated once it has {LEAST_REFERENCES} sessions."]
+                f"{session} finds none. A change of {LEAST_REFERENCES} sessions is stated without one."]
 
     def named(self) -> tuple[str, ...]:
         """Return the effects of the change: by the diagnosis if it names one, else by the evidence of all sessions."""
@@ -351,17 +351,17 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
     numbers, sequence = followed
     with threadpool_limits(1, user_api="blas"):
         changes, variance = sequence.search(), sequence.scatter()
-        scatter = _deviations(sequence, changes, variance)
-    suspected = [_dated(sequence, numbers, change) for change in _suspected(changes)]
+        among = _suspected(changes)
+        scatter = _deviations(sequence, among, variance)
+    suspected = [_dated(sequence, numbers, change) for change in among]
     state = BenchState(
         sessions=numbers, courses={}, changes=[_dated(sequence, numbers, change) for change in changes],
         suspected=suspected, scatter=scatter,
         cause=kept_cause(book, suspected[0], numbers, common["notes"]) if suspected else None, **common)
     with threadpool_limits(1, user_api="blas"):
         courses = _courses(sequence, variance)
-    stated = [change for change in _suspected(changes) if state.alarms]
     return replace(state, courses=courses, forecasts=[
-        _forecast(sequence, stated, courses, n, v) for n, v in (limits or {}).items()])
+        _forecast(sequence, among if state.alarms else [], courses, n, v) for n, v in (limits or {}).items()])
 
 
 def _suspected(changes: Sequence[Change]) -> list[Change]:
@@ -371,9 +371,9 @@ def _suspected(changes: Sequence[Change]) -> list[Change]:
     return [change for change in changes if change.nats >= SET_SHARE * changes[0].nats]
 
 
-def _deviations(sequence: SessionSequence, changes: Sequence[Change], variance: Array) -> dict[str, float]:
+def _deviations(sequence: SessionSequence, suspected: Sequence[Change], variance: Array) -> dict[str, float]:
     """Return 1σ between sessions by constant, in coordinates; of a suspected change, between those before it."""
-    if suspected := _suspected(changes):
+    if suspected:
         variance = sequence.until(min(change.since for change in suspected)).scatter()
     return dict(zip(CONSTANTS, np.sqrt(variance).tolist(), strict=True))
 
@@ -411,7 +411,7 @@ def measured_deviations(book: Logbook) -> dict[str, float] | None:
     if followed is None or followed[1].count < 2:
         return None
     with threadpool_limits(1, user_api="blas"):
-        return _deviations(followed[1], followed[1].search(), followed[1].scatter())
+        return _deviations(followed[1], _suspected(followed[1].search()), followed[1].scatter())
 
 
 def _before(order: Sequence[int], numbers: Sequence[int], after: int) -> int:

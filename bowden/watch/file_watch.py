@@ -156,7 +156,7 @@ class LatestCycles:
 LOOK_S: Final = 0.1
 """Time between two looks at the file, s: as often as a recorder writes."""
 STILL_LOOKS: Final = 50
-"""Number of looks without growth of the file after which a remark says so: a recording that was cut off never grows."""
+"""Number of looks without growth of the file until a remark on it: a recording that was cut off never grows."""
 ANY: Final = "any"
 """Word for every effect in --stop-on."""
 STOP_PERCENT: Final = 2.0
@@ -220,7 +220,7 @@ class FileWatch:
                     yield from self._judged(window)
 
     def follow(self, over: Callable[[], bool], remark: Callable[[str], None]) -> Iterator[WatchVerdict]:
-        """Yield each suspicion until the file is closed or `over()`; `remark` says once that it does not grow."""
+        """Yield each suspicion until the file is closed or `over()`; `remark` is called once if it does not grow."""
         still, size, path = 0, -1, self._file.path
         while not self.closed and not over():
             yield from self.look()
