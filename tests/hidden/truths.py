@@ -55,15 +55,16 @@ class Question:
 
 @dataclass(frozen=True)
 class Drawn:
-    """Columns of one case: two reference trials, one of the trial's own motion, the trial, and a further trial.
+    """Columns of one case: two reference trials, one of the trial's own motion, the trial, and two further trials.
 
-    `further`: of the trial's own session and effect, with another motion; nothing is fitted to it.  `separation`: χ² of
-    the oracle.  `clean`: START and END of the effect alone, N, shape (2, samples).
+    `repeat`, `further`: of the trial's own session and effect, of its motion and of another one; nothing is fitted to
+    them.  `separation`: χ² of the oracle.  `clean`: START and END of the effect alone, N, shape (2, samples).
     """
 
     references: tuple[dict[str, Array], ...]
     same_motion: dict[str, Array]
     trial: dict[str, Array]
+    repeat: dict[str, Array]
     further: dict[str, Array]
     separation: float
     clean: Array
@@ -71,8 +72,7 @@ class Drawn:
     @property
     def without(self) -> dict[str, Array]:
         """The trial less the effect's own response: what an exact model of the effect leaves."""
-        return {**self.trial, **{name: self.trial[name] - clean for name, clean in zip(
-            ("tension_start_n", "tension_end_n"), self.clean, strict=True)}}
+        return _moved(self.trial, -self.clean)
 
 
 @functools.cache
@@ -140,14 +140,16 @@ def _second(asked: Question) -> Drawn:
 
     trial, further = made(asked.hidden, seed, noise[0]), made(asked.hidden, seed, noise[0], other=True)
     same = made(["null"], 50000 + seed, noise[1], draws=False)
+    exact = made(asked.hidden, seed, 0.0)
+    repeat = _moved(exact, _difference(same, made(["null"], 50000 + seed, 0.0, draws=False)))
     if asked.hidden == ("null",):
-        return Drawn(references, same, trial, further, 0.0, np.zeros_like(_tensions(trial)))
+        return Drawn(references, same, trial, repeat, further, 0.0, np.zeros_like(_tensions(trial)))
     base = made(["null"], seed, 0.0)
-    clean = _difference(made(asked.hidden, seed, 0.0), base)
+    clean = _difference(exact, base)
     steps = [_difference(made(["null"], seed, 0.0, {**bench, name: bench[name] * (1.0 + sd)}), base)
              for name, sd in (("mu1", 0.03), ("mu2", 0.05), ("kf0", 0.03))]
     steps.append(_difference(made(["null"], seed, 0.0, bench, 0.2), base))
-    return Drawn(references, same, trial, further, _separation(clean, steps, base, noise[0]), clean)
+    return Drawn(references, same, trial, repeat, further, _separation(clean, steps, base, noise[0]), clean)
 
 
 def _first(asked: Question) -> Drawn:
@@ -173,13 +175,15 @@ def _first(asked: Question) -> Drawn:
 
     trial, further = made(asked.hidden, seed, sd=0.2), made(asked.hidden, seed, sd=0.2, other=True)
     same = made(["null"], 50000 + seed, sd=0.2, draws=False)
+    exact = made(asked.hidden, seed)
+    repeat = _moved(exact, _difference(same, made(["null"], 50000 + seed, draws=False)))
     if not asked.effects:
-        return Drawn(references, same, trial, further, 0.0, np.zeros_like(_tensions(trial)))
+        return Drawn(references, same, trial, repeat, further, 0.0, np.zeros_like(_tensions(trial)))
     base = made(["null"], seed)
-    clean = _difference(made(asked.hidden, seed), base)
+    clean = _difference(exact, base)
     steps = [_difference(made(["null"], seed, {**nominal, name: value}), base) for name, value in (
         ("mu1", 1.03 * nominal["mu1"]), ("mu2", 1.05 * nominal["mu2"]), ("kf0", 1.03 * nominal["kf0"]), ("x0", 0.2))]
-    return Drawn(references, same, trial, further, _separation(clean, steps, base, 0.2), clean)
+    return Drawn(references, same, trial, repeat, further, _separation(clean, steps, base, 0.2), clean)
 
 
 def _with(module: ModuleType, name: str, other: Any, run: Callable[[], dict[str, Array]]) -> dict[str, Array]:
@@ -194,6 +198,12 @@ def _with(module: ModuleType, name: str, other: Any, run: Callable[[], dict[str,
 
 def _tensions(columns: Mapping[str, Array]) -> Array:
     return np.stack([columns["tension_start_n"], columns["tension_end_n"]])
+
+
+def _moved(columns: Mapping[str, Array], by: Array) -> dict[str, Array]:
+    """Return columns with START and END greater `by` so much, N, shape (2, samples)."""
+    return {**columns, "tension_start_n": columns["tension_start_n"] + by[0],
+            "tension_end_n": columns["tension_end_n"] + by[1]}
 
 
 def _difference(first: Mapping[str, Array], second: Mapping[str, Array]) -> Array:

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from bowden.trials import provenance
+from diagnosis.compared_signals import SignalResiduals
 from diagnosis.finder import Finder
 from diagnosis.findings import Findings
 from estimation.data.table import table
@@ -41,8 +42,8 @@ OUT = Path("out")
 class Answer:
     """Verdict on one case.
 
-    `gains`: of what is named over the adapted session, %, as said (held-out cycles of the trial) and on a further trial
-    of the session, to which nothing is fitted; empty without a name.
+    `gains`: of what is named over the adapted session, %, as said (held-out cycles of the trial), and on a repeat of
+    its motion and another motion in the same session, to which nothing is fitted; empty without a name.
     """
 
     structure: str
@@ -81,12 +82,12 @@ def stored(asked: Question, folder: Path = OUT / "truths") -> Drawn:
     if not path.is_file():
         made = truths.draw(asked)
         folder.mkdir(parents=True, exist_ok=True)
-        sets = [*made.references, made.same_motion, made.trial, made.further]
+        sets = [*made.references, made.same_motion, made.trial, made.repeat, made.further]
         columns = {f"{k}.{name}": values for k, part in enumerate(sets) for name, values in part.items()}
         np.savez(path, separation=made.separation, clean=made.clean, **columns)
     with np.load(path) as held:
-        sets = [{name.split(".")[1]: held[name] for name in held.files if name.startswith(f"{k}.")} for k in range(5)]
-        return Drawn(tuple(sets[:2]), sets[2], sets[3], sets[4], float(held["separation"]), held["clean"])
+        sets = [{name.split(".")[1]: held[name] for name in held.files if name.startswith(f"{k}.")} for k in range(6)]
+        return Drawn(tuple(sets[:2]), *sets[2:], float(held["separation"]), held["clean"])
 
 
 def answer(asked: Question, motion: bool = False) -> Answer:
@@ -95,7 +96,8 @@ def answer(asked: Question, motion: bool = False) -> Answer:
     healthy = [table(f"healthy{k}", columns) for k, columns in enumerate(
         (*made.references, *([made.same_motion] if motion else [])))]
     began = time.perf_counter()
-    found = Finder().examine(healthy).diagnose([table("trial", made.trial)], [table("further", made.further)])
+    further = [table("repeat", made.repeat), table("further", made.further)]
+    found = Finder().examine(healthy).diagnose([table("trial", made.trial)], further)
     seconds = time.perf_counter() - began
     evidence = found.evidence or {}
     return Answer(asked.structure, asked.hidden, asked.seed, motion, made.separation, found.verdict,
@@ -106,14 +108,20 @@ def answer(asked: Question, motion: bool = False) -> Answer:
 
 
 def _gains(found: Findings) -> tuple[float, ...]:
-    """Return the gain of what is named over the adapted session, %, as said and on the further trial; () without one.
+    """Return the gain of what is named over the adapted session, %, as said and on each further trial; () without one.
     """
     if not found.causes or found.simulation is None:
         return ()
-    squares = [[f.holdout_session**2, f.holdout_after**2] for name in PATH_MODEL.judged
-               if (f := found.relations[name]).holdout_session is not None and f.holdout_after is not None]
-    session, named = np.sqrt(np.sum(squares, axis=0))
-    return round(found.simulation["gain_percent"], 1), round(100.0 * (1.0 - float(named / session)), 1)
+    further = zip(*(found.held_traces[name] for name in PATH_MODEL.judged), strict=True)
+    return tuple(round(gain, 1) for gain in (
+        found.simulation["gain_percent"], *(_gain(signals) for signals in further)))
+
+
+def _gain(signals: Sequence[SignalResiduals]) -> float:
+    """Return the gain in one trial over its judged signals, %."""
+    session, named = (np.sqrt(sum(float(np.mean(errors**2)) for errors in each)) for each in (
+        [signal.session for signal in signals], [signal.after for signal in signals]))
+    return float(100.0 * (1.0 - named / session))
 
 
 def digest(asked: Sequence[Question]) -> str:
@@ -130,7 +138,8 @@ def said(a: Answer) -> str:
                          for which in ("healthy", "before", "session", "after"))
     return (f"{state} {a.structure} {a.seed} {'+'.join(a.hidden)} χ² {a.separation:.0f} → {a.verdict} "
             f"{', '.join(a.named)} | {', '.join(a.among)} | {best} | {figures} N"
-            + (f", gain {a.gains[0]:g} %, further trial {a.gains[1]:g} %" if a.gains else "") + f" | {a.seconds:g} s")
+            + (f", gain {a.gains[0]:g} %, on a repeat {a.gains[1]:g} %, in another motion {a.gains[2]:g} %"
+               if a.gains else "") + f" | {a.seconds:g} s")
 
 
 def summary(told: Sequence[Answer]) -> list[str]:
@@ -143,8 +152,8 @@ def summary(told: Sequence[Answer]) -> list[str]:
         ("unexplained alone, reference condition", [a.verdict == "unexplained" for a in healthy]),
         ("unexplained alone, effect of the catalogue", [a.verdict == "unexplained" for a in one]),
         ("part right, of named", [a.part == truths.part(a.effects[0]) for a in one if a.among]),
-        ("gain within 5 points of that on a further trial", [
-            abs(a.gains[0] - a.gains[1]) <= 5.0 for a in one if a.gains]),
+        *((f"gain within 5 points of that {where}", [abs(a.gains[0] - a.gains[k]) <= 5.0 for a in one if a.gains])
+          for k, where in ((1, "on a repeat"), (2, "in another motion"))),
         ("pairs, both in the set", [a.right for a in told if len(a.effects) == 2]),
         ("outside the catalogue, named", [bool(a.among) for a in told if a.hidden[0] in truths.OUTSIDE])]
     return [f"{name}: {sum(held)} of {len(held)}" for name, held in rows if held]
