@@ -31,11 +31,13 @@ class ForwardModel(ABC):
     `states`: number of states of the discrepancy.  `load_state`: row of the state whose quartiles divide the data for
     the estimate of the model error.  `session_share`: 1σ of the discrepancy's change between sessions, relative to the
     discrepancy.  `scattered`: constants whose scatter between sessions is estimated from the reference trials, with
-    `session_at` as prior.  `surrogate_sd`: 1σ between benches, in a fit of reference trials, of constants that are
-    surrogates for model error, too.  `pools_sessions`: trials of unlike condition are one session.  `unseen`: growth of
-    the session deviation, and of the detection threshold, with the motion that the reference trials do not have.
-    `extrapolated`: constants of equations that motion and load enter, whose session deviation grows so, as that of the
-    judged outputs' discrepancy does.
+    `session_at` as prior.  `structural`: constants that scatter between sessions because the bench's equations are not
+    the model's; how far is weighed by the reference trials (`ReferenceFit.repeats`).  `surrogate_sd`: 1σ between
+    benches, in a fit of reference trials, of constants that are surrogates for model error, too.
+
+    `pools_sessions`: trials of unlike condition are one session.  `unseen`: growth of the session deviation, and of the
+    detection threshold, with the motion that the reference trials do not have.  `extrapolated`: constants of equations
+    that motion and load enter, whose session deviation grows so, as that of the judged outputs' discrepancy does.
 
     `session_shares`: 1σ of a further change of the discrepancy between sessions, relative to it, over which the
     evidence is averaged (`diagnosis.evidence.session_change`).
@@ -55,6 +57,7 @@ class ForwardModel(ABC):
     states: int
     load_state: int
     scattered: Sequence[str] = ()
+    structural: Sequence[str] = ()
     surrogate_sd: Mapping[str, float] = MappingProxyType({})
     pools_sessions: bool = False
     session_share: float

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.special import logsumexp
 
 from estimation.forward_model import ForwardModel, jacobian, predicted
 from estimation.likelihood_data import Recording
@@ -33,6 +34,7 @@ from estimation.reference_fit import (
     JointMinimum,
     NoiseModel,
     ReferenceFit,
+    Repeat,
     features,
     reach_of,
     scaling_of,
@@ -200,8 +202,12 @@ class _Fit:
         there.bench, there.at = best[0], best[1][:-1]
         bench, nats = there._posterior()
         found = replace(fit, bench=bench, prior=there._further(bench), identified=tuple(there.identified),
-                        joint_minimum=None)
-        return JointMinimum(found, nats - copy.copy(self)._posterior()[1], best[1][-1])
+                        repeats=there._repeats(bench), joint_minimum=None)
+        nats -= copy.copy(self)._posterior()[1]
+        # ln p(y) of the reference trials over all scatters is that of the stated one less its log probability
+        sides = zip(fit.repeats[-1:], found.repeats[-1:], strict=True)
+        return JointMinimum(found, nats + sum(here.log_probability - other.log_probability for here, other in sides),
+                            best[1][-1])
 
     def _posterior(self) -> tuple[Gaussian, float]:
         """Return the posterior of the bench by the trials linearised where they stand, and its log evidence, nats.
@@ -230,7 +236,7 @@ class _Fit:
         bench = self._bounded()
         return ReferenceFit(self.model, self.outputs, self.origin, bench, self._further(bench), self.scaling,
                             self.model_error, self.tau, self.scatter_n, self._mean_cost(), self.reach,
-                            tuple(self.identified), self.contradicted,
+                            tuple(self.identified), self.contradicted, self._repeats(bench),
                             None if self.model.pools_sessions else self.joint_minimum)
 
     def _bounded(self) -> Gaussian:
@@ -294,6 +300,26 @@ class _Fit:
             nats.append(self._joint(range(len(self.trials)))[1] - 0.5 * log**2)
         share = np.exp(np.array(nats) - max(nats))
         return float(share @ np.exp(2.0 * logs) / share.sum())
+
+    def _repeats(self, stated: Gaussian) -> tuple[Repeat, ...]:
+        """Return the prior of a further trial for each scatter of the `structural` constants, at most the stated one.
+
+        `stated`: posterior of the bench with that one.  p(κ | y) is that of `_common_factor`; a larger scatter counts
+        as overdispersion.  Two reference trials do not decide κ, so that evidence is averaged over it.
+        """
+        at = [self.constants.index[name] for name in self.model.structural]
+        if len(self.trials) < 2 or not at:
+            return ()
+        sd, every, found = self.session_sd.copy(), range(len(self.trials)), []
+        middle = self._joint(every)[0].mean
+        for log in np.arange(-3.0, 1.0):
+            self.session_sd[at] = np.exp(log) * sd[at]
+            bench, nats = self._joint(every)
+            bench = replace(bench, mean=stated.mean + bench.mean - middle)
+            found.append((nats - 0.5 * log**2, self._further(bench), self._session()))
+        self.session_sd = sd
+        whole = float(logsumexp([nats for nats, _, _ in found]))
+        return tuple(Repeat(nats - whole, prior, session) for nats, prior, session in found)
 
     def _mean_cost(self) -> float:
         """Return the mean cost per datum of the reference trials at their modes."""

@@ -33,6 +33,17 @@ def waves(signals: tuple[str, ...], states: int) -> dict[str, tuple[Array, Array
             for name in signals}
 
 
+class Repeat(NamedTuple):
+    """One scatter of the structural constants between sessions: its log probability given the reference trials.
+
+    `prior`: prior of a further trial under it.  `session`: variance between sessions of constants and feature weights.
+    """
+
+    log_probability: float
+    prior: Gaussian
+    session: Array
+
+
 class Scaling(NamedTuple):
     """Mean and standard deviation of the states over the reference trials, each of shape (states,).
 
@@ -80,6 +91,7 @@ class ReferenceFit:
     `identified`: coordinates and feature weights at the mode of each reference trial.  `scatter_n`: RMS error by
     output, N, of the other reference trials' models on one trial; a single trial is predicted by its model.
     `contradicted`: nats by which a restart of the fit found a better minimum than the first start, 0 if it did not.
+    `repeats`: priors by how far structural constants scatter between sessions, () where that is not known.
     `joint_minimum`: function of this fit, a further trial and its mode that returns the reference condition at their
     joint minimum; None for a condition that was not fitted here, and for pooled sessions.
     """
@@ -97,6 +109,7 @@ class ReferenceFit:
     reach: Reach | None
     identified: tuple[tuple[Array, Array], ...] = ()
     contradicted: float = 0.0
+    repeats: tuple[Repeat, ...] = ()
     joint_minimum: Callable[[ReferenceFit, Recording, Array], JointMinimum] | None = None
 
     def warning(self) -> str:
@@ -162,10 +175,20 @@ class ReferenceFit:
         """Return the prior of the session `observed`: session deviations grow where its motion exceeds the references'.
         """
         session = np.diag(self.prior.covariance - self.bench.covariance)
+        return replace(self.prior, covariance=self.prior.covariance + np.diag(self._unseen(observed) * session))
+
+    def repeats_of(self, observed: SessionData) -> list[tuple[float, Gaussian]]:
+        """Return each of `repeats` for the session `observed`: its log probability and its prior, grown as `prior_of`.
+        """
+        growth = self._unseen(observed)
+        return [(nats, replace(prior, covariance=prior.covariance + np.diag(growth * session)))
+                for nats, prior, session in self.repeats]
+
+    def _unseen(self, observed: SessionData) -> Array:
+        """Return the growth of the session's variances with motion beyond the references', constants first."""
         constants = [self.model.constants.names[i] in self.model.extrapolated for i in self.model.constants.free]
         discrepancy = np.repeat([name in self.model.judged for name in self.outputs], FEATURES)
-        growth = (self.model.unseen * observed.beyond) ** 2 * np.concatenate([constants, discrepancy])
-        return replace(self.prior, covariance=self.prior.covariance + np.diag(growth * session))
+        return np.asarray((self.model.unseen * observed.beyond) ** 2 * np.concatenate([constants, discrepancy]))
 
     def _grown(self, trial: Recording, beyond: float) -> Array:
         """Return, by datum, the growth with the measured signals over that with the reference condition's.

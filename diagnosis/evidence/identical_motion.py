@@ -26,10 +26,14 @@ REPEAT: Final = "repeat"
 
 @dataclass(frozen=True)
 class Pair:
-    """A trial less the residual of reference trial number `reference`: its data, and its prior about that trial."""
+    """A trial less the residual of reference trial number `reference`: its data, and its prior about that trial.
+
+    `repeats`: priors by the scatter between sessions, as in `TrialModes`.
+    """
 
     observed: SessionData
     prior: Gaussian
+    repeats: Sequence[tuple[float, Gaussian]]
     reference: int
 
 
@@ -54,14 +58,16 @@ def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: S
     """Return the modes of a trial, and its pair if a reference trial has its motion: then the modes are the pair's."""
     pair = paired(fit, references, observed)
     if pair is None:
-        return search(observed, fit.prior_of(observed), fit), None
+        return search(observed, fit.prior_of(observed), fit, fit.repeats_of(observed)), None
     # the pair's prior is about one reference trial's mode, which no other minimum of all of them changes
-    return search(pair.observed, pair.prior, replace(fit, joint_minimum=None), repeats_motion=True), pair
+    return search(pair.observed, pair.prior, replace(fit, joint_minimum=None), pair.repeats, repeats_motion=True), pair
 
 
 def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int) -> Pair:
     """Return the pair of a trial and reference trial `number`, the recording `other`, `lag` samples behind it."""
-    return Pair(_difference(fit, other, observed, number, lag), _prior(fit, number), number)
+    session = np.diag(fit.prior.covariance - fit.bench.covariance)
+    return Pair(_difference(fit, other, observed, number, lag), _prior(fit, number, session),
+                [(each.log_probability, _prior(fit, number, each.session)) for each in fit.repeats], number)
 
 
 def _lag(trial: Recording, other: Recording, most_s: float = 2.0, identical: float = 0.01, covered: float = 0.8
@@ -119,9 +125,8 @@ def _difference(fit: ReferenceFit, other: Recording, observed: SessionData, numb
     return replace(observed, trials=(made,), weight=weight, tau=np.ones(len(fit.outputs)))
 
 
-def _prior(fit: ReferenceFit, number: int) -> Gaussian:
-    """Return the prior of the trial's constants: mean at the reference trial's mode, twice a session's variance."""
+def _prior(fit: ReferenceFit, number: int, session: Array) -> Gaussian:
+    """Return the prior of the trial's constants: mean at the reference trial's mode, twice the variance `session`."""
     q, c = fit.identified[number]
     free = list(fit.model.constants.free)
-    session = np.diag(fit.prior.covariance - fit.bench.covariance)
     return Gaussian(fit.origin, np.concatenate([(q - fit.origin)[free], c]), np.diag(2.0 * session))

@@ -7,13 +7,16 @@ linear at a mode, so that each evidence is a closed form of the mode's own matri
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.special import logsumexp
 
-from estimation.posterior import PosteriorMode
+from estimation.posterior import Gaussian, PosteriorMode, widened
 from estimation.reference_fit import ReferenceFit
+from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
 
@@ -21,6 +24,28 @@ def feature_sd(reference: ReferenceFit) -> Array:
     """Return 1σ of the weight of each feature of the discrepancy between benches."""
     session = np.diag(reference.prior.covariance - reference.bench.covariance)[len(reference.model.constants.free):]
     return np.asarray(np.sqrt(session) / reference.model.session_share)
+
+
+def under(at: PosteriorMode, prior: Gaussian, variants: Sequence[Variant]) -> PosteriorMode:
+    """Return the linearisation of a mode under another `prior`, which the `variants` of effects widen.
+
+    ∫ exp(gᵀd − ½ dᵀMd) N(d; μ − x̂, LLᵀ) dd, M = HᵀWH, g = HᵀWr, in place of the same integral under the mode's own
+    prior; both are linearised at x̂.
+    """
+    _, mean, covariance, _ = widened(at.table, prior, variants)
+    factor: Array = np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance))), np.float64)
+    scaled = at.design * np.sqrt(at.weight)[:, None]
+    square, slope = scaled.T @ scaled, at.design.T @ (at.weight * at.residual)
+
+    def nats(mean: Array, factor: Array, inner: Any) -> float:
+        off = mean - at.x
+        pull = factor.T @ (slope - square @ off)
+        return (float(slope @ off - 0.5 * off @ square @ off + 0.5 * pull @ cho_solve(inner, pull))
+                - float(np.log(np.diag(inner[0])).sum()))
+
+    inner = cho_factor(np.eye(mean.size) + factor.T @ square @ factor)
+    gain = nats(mean, factor, inner) - nats(at.prior_mean, at.factor, at.inner)
+    return replace(at, factor=factor, inner=inner, prior_mean=mean, log_evidence=at.log_evidence + gain)
 
 
 def averaged(at: PosteriorMode, amplitude: Array, shares: Sequence[float]) -> float:
