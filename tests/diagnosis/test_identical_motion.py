@@ -7,10 +7,8 @@ import pytest
 
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.identical_motion import paired
-from diagnosis.evidence.session_change import averaged, feature_sd
 from estimation.data.table import Table, table
 from estimation.path_model import PATH_MODEL
-from estimation.posterior import mode
 from estimation.reference_fit import ReferenceFit
 from tests.hidden.family import Job, case
 
@@ -70,25 +68,3 @@ def test_an_effect_is_named_from_the_difference_and_a_repeat_names_nothing(
     changed = finder.diagnose([again(reference, end_gain=1.04)])
     assert "end_gain" in changed.rivals
     assert any("has the motion of the trial" in warning for warning in changed.warnings)
-
-
-def test_a_further_change_of_the_discrepancy_is_averaged_as_in_the_datas_own_covariance(
-    bench: tuple[EvidenceFinder, ReferenceFit, Table]
-) -> None:
-    finder, fit, other = bench
-    observed = fit.observe(finder.model.record(other))
-    prior, sd = fit.prior_of(observed), feature_sd(fit)
-    at = mode(observed, prior, descends=False)
-    counted = at.weight > 0.0
-    design, noise = at.design[counted], np.diag(1.0 / at.weight[counted])
-    error = (at.residual + at.design @ (at.x - at.prior_mean))[counted]
-    wide = observed.features[counted] * sd
-
-    def nats(share: float) -> float:
-        covariance = noise + design @ prior.covariance @ design.T + share**2 * wide @ wide.T
-        return -0.5 * float(error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(covariance)[1])
-
-    assert averaged(at, sd, (0.0,)) == pytest.approx(at.log_evidence, abs=1e-9)
-    assert averaged(at, sd, (1.4,)) - at.log_evidence == pytest.approx(nats(1.4) - nats(0.0), rel=1e-3)
-    both = np.logaddexp(averaged(at, sd, (0.0,)), averaged(at, sd, (1.4,))) - np.log(2.0)
-    assert averaged(at, sd, (0.0, 1.4)) == pytest.approx(both, abs=1e-9)

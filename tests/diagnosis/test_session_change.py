@@ -1,0 +1,81 @@
+"""What changes between sessions of a healthy bench: evidence averaged over it is that of the data's own covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.evidence.session_change import averaged, feature_sd, under
+from estimation.path_model import PATH_MODEL
+from estimation.posterior import Gaussian, PosteriorMode, SessionData, mode
+from estimation.reference_fit import ReferenceFit
+from tests.hidden.family import Job, case
+
+BENCH = Job(39, (), 9, cycles=3)
+"""In the reference condition, with one or more reference trials of other gaits."""
+
+
+@pytest.fixture(scope="module")
+def alone() -> tuple[ReferenceFit, SessionData]:
+    """A bench with one reference trial, and a trial of another motion."""
+    made = case(BENCH)
+    fit = EvidenceFinder(made.healthy[:1]).reference([made.trial])
+    return fit, fit.observe(PATH_MODEL.record(made.trial))
+
+
+def exact(at: PosteriorMode, observed: SessionData) -> Callable[[Gaussian, float], float]:
+    """Return the log evidence of the linearised data, nats, by prior and by a further change of the discrepancy."""
+    counted = at.weight > 0.0
+    design, noise, measured = at.design[counted], np.diag(1.0 / at.weight[counted]), at.residual + at.design @ at.x
+
+    def nats(prior: Gaussian, further: float = 0.0) -> float:
+        wide = further * observed.features[counted]
+        error = (measured - at.design @ prior.mean)[counted]
+        covariance = noise + design @ prior.covariance @ design.T + wide @ wide.T
+        return -0.5 * float(error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(covariance)[1])
+
+    return nats
+
+
+def test_a_further_change_of_the_discrepancy_is_averaged_as_in_the_datas_own_covariance(
+    alone: tuple[ReferenceFit, SessionData]
+) -> None:
+    fit, observed = alone
+    prior, sd = fit.prior_of(observed), feature_sd(fit)
+    at = mode(observed, prior, descends=False)
+    nats = exact(at, replace(observed, features=observed.features * sd))
+    assert averaged(at, sd, (0.0,)) == pytest.approx(at.log_evidence, abs=1e-9)
+    assert averaged(at, sd, (1.4,)) - at.log_evidence == pytest.approx(nats(prior, 1.4) - nats(prior), rel=1e-3)
+    both = np.logaddexp(averaged(at, sd, (0.0,)), averaged(at, sd, (1.4,))) - np.log(2.0)
+    assert averaged(at, sd, (0.0, 1.4)) == pytest.approx(both, abs=1e-9)
+
+
+def test_another_prior_has_the_evidence_of_the_datas_own_covariance(alone: tuple[ReferenceFit, SessionData]) -> None:
+    fit, observed = alone
+    prior = fit.prior_of(observed)
+    other = replace(prior, mean=0.9 * prior.mean, covariance=0.3 * prior.covariance)
+    at = mode(observed, prior, descends=False)
+    nats, there = exact(at, observed), under(at, other, ())
+    assert there.log_evidence - at.log_evidence == pytest.approx(nats(other) - nats(prior), rel=1e-3)
+    assert under(there, prior, ()).log_evidence == pytest.approx(at.log_evidence, abs=1e-6)
+
+
+def test_one_reference_trial_shows_no_scatter(alone: tuple[ReferenceFit, SessionData]) -> None:
+    assert alone[0].repeats == ()
+
+
+@pytest.mark.slow
+def test_two_reference_trials_weigh_the_scatter_of_structural_constants() -> None:
+    made = case(BENCH)
+    fit = EvidenceFinder(made.healthy[:2]).reference([made.trial])
+    assert sum(np.exp(each.log_probability) for each in fit.repeats) == pytest.approx(1.0)
+    # the last one is the stated scatter, so that it has the prior of the fit itself
+    np.testing.assert_allclose(fit.repeats[-1].prior.covariance, fit.prior.covariance, rtol=1e-6, atol=1e-15)
+    names = [fit.model.constants.names[i] for i in fit.model.constants.free]
+    scaled = [n in fit.model.structural for n in names]
+    narrow, stated = (np.sqrt(each.session[:len(names)]) for each in (fit.repeats[0], fit.repeats[-1]))
+    np.testing.assert_allclose(narrow / stated, np.where(scaled, np.exp(-3.0), 1.0))
