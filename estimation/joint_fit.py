@@ -6,7 +6,7 @@ The model is hierarchical: each trial departs from the bench by a session deviat
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -288,35 +288,37 @@ class _Fit:
         self.session_sd[at] = np.sqrt((PRIOR_SESSIONS * known + moved + left * known) / (PRIOR_SESSIONS + count - 1.0))
 
     def _common_factor(self, at: Sequence[int], prior: Array) -> float:
-        """Return the posterior mean of a common factor κ² on the variances `prior` of the constants `at`.
-
-        ln κ has the prior N(0, 1): the sessions of one bench differ by a third of another's, or by three times as much.
-        """
-        # p(κ | y) ∝ p(y | κ)·N(ln κ; 0, 1), in steps of its prior σ; not beyond e: the evidence of linearised trials
-        # with loose constants is no measure of them (a motor that repeats to 2 % would have all of it at e³)
-        logs, nats = np.arange(-3.0, 2.0), []
-        for log in logs:
-            self.session_sd[at] = np.exp(log) * np.sqrt(prior)
-            nats.append(self._joint(range(len(self.trials)))[1] - 0.5 * log**2)
-        share = np.exp(np.array(nats) - max(nats))
+        """Return the posterior mean of a common factor κ² on the variances `prior` of the constants `at`."""
+        # not beyond e: the evidence of linearised trials with loose constants is no measure of them (a motor that
+        # repeats to 2 % would have all of it at e³)
+        logs = np.arange(-3.0, 2.0)
+        nats = np.array([nats for _, nats in self._by_factor(at, np.sqrt(prior), logs)])
+        share = np.exp(nats - nats.max())
         return float(share @ np.exp(2.0 * logs) / share.sum())
+
+    def _by_factor(self, at: Sequence[int], sd: Array, logs: Array) -> Iterator[tuple[Gaussian, float]]:
+        """Set 1σ between sessions of the constants `at` to κ·`sd` for each ln κ of `logs`; yield bench and ln p(κ | y).
+
+        The posterior of κ, up to a constant, has the prior ln κ ~ N(0, 1): the sessions of one bench differ by a third
+        of another's, or by three times as much.
+        """
+        for log in logs:
+            self.session_sd[at] = np.exp(log) * sd
+            bench, nats = self._joint(range(len(self.trials)))
+            yield bench, nats - 0.5 * float(log) ** 2
 
     def _repeats(self, stated: Gaussian) -> tuple[Repeat, ...]:
         """Return the prior of a further trial for each scatter of the `structural` constants, at most the stated one.
 
-        `stated`: posterior of the bench with that one.  p(κ | y) is that of `_common_factor`; a larger scatter counts
-        as overdispersion.  Two reference trials do not decide κ, so that evidence is averaged over it.
+        `stated`: posterior of the bench with that one.  A larger scatter counts as overdispersion.  Two reference
+        trials do not decide κ, so that evidence is averaged over it.
         """
         at = [self.constants.index[name] for name in self.model.structural]
         if len(self.trials) < 2 or not at:
             return ()
-        sd, every, found = self.session_sd.copy(), range(len(self.trials)), []
-        middle = self._joint(every)[0].mean
-        for log in np.arange(-3.0, 1.0):
-            self.session_sd[at] = np.exp(log) * sd[at]
-            bench, nats = self._joint(every)
-            bench = replace(bench, mean=stated.mean + bench.mean - middle)
-            found.append((nats - 0.5 * log**2, self._further(bench), self._session()))
+        sd, middle = self.session_sd.copy(), self._joint(range(len(self.trials)))[0].mean
+        found = [(nats, self._further(replace(bench, mean=stated.mean + bench.mean - middle)), self._session())
+                 for bench, nats in self._by_factor(at, sd[at], np.arange(-3.0, 1.0))]
         self.session_sd = sd
         whole = float(logsumexp([nats for nats, _, _ in found]))
         return tuple(Repeat(nats - whole, prior, session) for nats, prior, session in found)
