@@ -28,7 +28,7 @@ from scipy.stats import binomtest, chi2
 from diagnosis.evidence.decision import NAMED_NATS
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.finder import diagnose
-from estimation.data.table import table
+from estimation.data.table import Table, table
 from estimation.path_model import PATH_MODEL
 from estimation.posterior import mode
 from physics.effects.hypotheses import HYPOTHESES
@@ -67,23 +67,30 @@ def truth_questions(count: int, first: int = 4100) -> list[Question]:
             for i in range(count) for name in truths.STRUCTURES]
 
 
+def healthy(job: Job | Question) -> list[Table]:
+    """Return the reference trials of a bench; of a rig of other structure that of the trial's motion, too."""
+    if isinstance(job, Job):
+        return list(case(job).healthy)
+    drawn = truths_run.stored(job)
+    return [table(f"healthy{k}", c) for k, c in enumerate((*drawn.references, drawn.same_motion))]
+
+
 def gains(job: Job | Question) -> tuple[str, dict[str, float]]:
     """Return the verdict and the log Bayes factors of a case; none of these where wire or integrity come first."""
     if isinstance(job, Question):
-        drawn = truths_run.stored(job)
-        trial, healthy = table("trial", drawn.trial), [table(f"healthy{k}", c) for k, c in enumerate(drawn.references)]
+        trial, known = table("trial", truths_run.stored(job).trial), healthy(job)[:2]
     else:
-        trial, healthy = case(job).trial, list(case(job).healthy)
-    said = diagnose([trial], healthy=healthy)
+        trial, known = case(job).trial, healthy(job)
+    said = diagnose([trial], healthy=known)
     return said.verdict, (said.evidence or {}).get("log_bayes_factors", {})
 
 
-def scatter(job: Job) -> Array | None:
+def scatter(job: Job | Question) -> Array | None:
     """Return the constants of each session of a bench less their mean, in session σ; None for a single session."""
-    made = case(job)
-    if len(made.healthy) < 2:
+    known = healthy(job)
+    if len(known) < 2:
         return None
-    fitted, free = EvidenceFinder(list(made.healthy)).reference(()), list(FREE)
+    fitted, free = EvidenceFinder(known).reference(()), list(FREE)
     q, count = np.array([at for at, _ in fitted.identified]), len(fitted.identified)
     return np.asarray((q - q.mean(axis=0))[:, free] / SESSION_SD[free] * np.sqrt(count / (count - 1)))
 
@@ -142,15 +149,19 @@ def main(arguments: list[str]) -> None:
     asked: list[Job | Question] = [*reference_jobs(given.reference), *truth_questions(given.truths),
                                    *hidden_jobs(given.hidden)]
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
-        _print_sessions([rows for rows in crew.map(scatter, reference_jobs(given.scatter)) if rows is not None])
+        _print_sessions(crew, [*reference_jobs(given.scatter), *truth_questions(given.truths)])
         _print_likelihoods(list(crew.map(likelihoods, reference_jobs(given.noise))))
         _print_gains(dict(zip(asked, crew.map(gains, asked), strict=True)))
 
 
-def _print_sessions(several: Sequence[Array]) -> None:
-    if several:
-        rms = np.sqrt(np.mean(np.concatenate(several) ** 2, axis=0))
-        print("scatter between sessions, session σ:", ", ".join(
+def _print_sessions(crew: ProcessPoolExecutor, asked: Sequence[Job | Question]) -> None:
+    several: dict[str, list[Array]] = {}
+    for job, rows in zip(asked, crew.map(scatter, asked), strict=True):
+        if rows is not None:
+            several.setdefault(job.structure if isinstance(job, Question) else "family", []).append(rows)
+    for name, each in several.items():
+        rms = np.sqrt(np.mean(np.concatenate(each) ** 2, axis=0))
+        print(f"scatter between sessions, {name}, session σ:", ", ".join(
             f"{NAMES[i]} {v:.2f}" for i, v in zip(FREE, rms, strict=True)))
 
 
