@@ -1,7 +1,7 @@
 """Errors of the simulation on a trial, on held-out cycles, by three models.
 
-Each half of the cycles is predicted by a fit to the other half.  The gain of the effects is that of `named` over
-`session`, since a session differs from the reference trials without an effect, too.
+Each cycle is predicted by a fit to the others.  The gain of the effects is that of `named` over `session`, since a
+session differs from the reference trials without an effect, too.
 
     reference   the models of the reference trials, averaged; nothing is fitted to the trial
     session     the session's constants and discrepancy are fitted, without an effect
@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from diagnosis.compared_signals import Figures, SignalResiduals
 from estimation.data.table import Table
 from estimation.likelihood_data import Recording
-from estimation.posterior import Gaussian, PosteriorMode, SessionData, begun, mode
+from estimation.posterior import LONGEST, PosteriorMode, SessionData
 from estimation.reference_fit import ReferenceFit
-from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
 ALONG: Final = ("gait_percent", "rope_m_s", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n")
@@ -134,25 +133,35 @@ class HeldOut:
         return made
 
 
-def held_out(observed: SessionData, prior: Gaussian, reference: ReferenceFit, chosen: Sequence[Variant],
-             modes: tuple[PosteriorMode, PosteriorMode], blocks: Sequence[NDArray[np.intp]]) -> HeldOut:
-    """Return the errors of a trial, each half of its cycles predicted by fits to the other half.
+def held_out(observed: SessionData, reference: ReferenceFit, modes: tuple[PosteriorMode, PosteriorMode | None],
+             blocks: Sequence[NDArray[np.intp]]) -> HeldOut:
+    """Return the errors of a trial, each of its cycles predicted by fits to the others.
 
-    `modes`: where the fits without and with the chosen effects start.
+    `modes`: without and with the chosen effects, None if none is chosen.
     """
-    null, base = modes
-    half = np.concatenate([np.tile(b % 2, len(observed.outputs)) for b in blocks])
+    cycles = np.concatenate([np.tile(b, len(observed.outputs)) for b in blocks])
+    null, named = modes
+    return HeldOut(observed, reference.missed(observed), left_out(observed, null, cycles),
+                   None if named is None else left_out(observed, named, cycles), blocks)
 
-    def predicted(variants: Sequence[Variant], start: PosteriorMode) -> Array:
-        left = np.zeros(observed.data.size)
-        for fold in (0, 1):
-            seen = replace(observed, weight=np.where(half == fold, 1e-9, observed.weight))
-            at = mode(seen, prior, variants, begun(start, None, kept=variants))
-            left = np.where(half == fold, rest(observed, at), left)
-        return left
 
-    return HeldOut(observed, reference.missed(observed), predicted([], null),
-                   predicted(chosen, base) if chosen else None, blocks)
+def left_out(observed: SessionData, at: PosteriorMode, cycles: NDArray[np.intp]) -> Array:
+    """Return the residual of each datum by a fit to the other `cycles` than its own.
+
+    The fit is one Gauss–Newton step from the mode of all cycles, x̂₋ᵢ = x̂ − (A − HᵢᵀWᵢHᵢ)⁻¹HᵢᵀWᵢrᵢ, A = P⁻¹ + HᵀWH
+    (Cook and Weisberg 1982, deletion of several cases), at most `LONGEST` as in any fit.
+    """
+    inward, left, spread = at.inward, at.residual.copy(), np.sqrt((at.factor[:at.constants] ** 2).sum(axis=1))
+    whole = np.eye(at.x.size) + inward.T @ (at.weight[:, None] * inward)
+    for cycle in np.unique(cycles):
+        own = cycles == cycle
+        light = at.weight[own, None] * inward[own]
+        step = -at.factor @ np.linalg.solve(whole - inward[own].T @ light, light.T @ at.residual[own])
+        step /= max(1.0, float(np.abs(step[:at.constants] / spread).max()) / LONGEST)
+        q = at.q.copy()
+        q[list(at.active)] += step[:at.constants]
+        left[own] = rest(observed, replace(at, q=q, x=at.x + step))[own]
+    return left
 
 
 def rest(observed: SessionData, at: PosteriorMode) -> Array:
