@@ -21,9 +21,9 @@ def test_nothing_hidden_has_no_clean_response() -> None:
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("hidden", ["gain_e", "fdrift"])
-def test_a_stated_gain_is_that_on_further_trials(hidden: str) -> None:
-    said, *further = truths_run.answer(Question("truth2", (hidden,), 7)).gains
-    assert further == pytest.approx([said, said], abs=5.0)
+def test_a_stated_gain_is_that_on_a_further_trial(hidden: str) -> None:
+    said, _, further = truths_run.answer(Question("truth2", (hidden,), 7)).gains
+    assert said == pytest.approx(further, abs=5.0)
 
 
 @pytest.mark.exhaustive
