@@ -32,7 +32,7 @@ class ForwardModel(ABC):
     the estimate of the model error.  `session_share`: 1σ of the discrepancy's change between sessions, relative to the
     discrepancy.  `scattered`: constants whose scatter between sessions is estimated from the reference trials, with
     `session_at` as prior.  `structural`: constants that scatter between sessions because the bench's equations are not
-    the model's; how far is weighed by the reference trials (`ReferenceFit.repeats`).  `surrogate_sd`: 1σ between
+    the model's; how far is weighed by the reference trials (`session_priors`).  `surrogate_sd`: 1σ between
     benches, in a fit of reference trials, of constants that are surrogates for model error, too.
 
     `pools_sessions`: trials of unlike condition are one session.  `unseen`: growth of the session deviation, and of the
@@ -92,8 +92,8 @@ class ForwardModel(ABC):
     def course(self, q: Array, trial: Any) -> tuple[Array, Array, Array, Array, Array | None]:
         """Return position, m, speed, m/s, loads at START and END, N, and joint angle, rad, at every time of the trial.
 
-        A load is simulated with coordinates `q` if the model predicts it, else measured. The joint angle is None on a
-        rig without a joint.
+        A load is simulated with coordinates `q` if the model predicts it, else measured. A rig without a joint has no
+        joint angle (None).
         """
 
     def motion(self, trial: Any) -> Array:
@@ -148,13 +148,13 @@ _STEP: ContextVar[Callable[[], None] | None] = ContextVar("_STEP", default=None)
 
 
 @contextmanager
-def steps_counted(tell: Callable[[int], None]) -> Iterator[None]:
-    """Report progress of every fit in this context: each step calls `tell` with the number of steps taken so far.
+def steps_counted(report: Callable[[int], None]) -> Iterator[None]:
+    """Report progress of every fit in this context: each step calls `report` with the number of steps taken so far.
 
     The total is unknown beforehand, since a fit ends when it converges. `step_taken` defines a step.
     """
     numbers = itertools.count(1)
-    token = _STEP.set(lambda: tell(next(numbers)))
+    token = _STEP.set(lambda: report(next(numbers)))
     try:
         yield
     finally:

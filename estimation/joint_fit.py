@@ -34,7 +34,7 @@ from estimation.reference_fit import (
     JointMinimum,
     NoiseModel,
     ReferenceFit,
-    Repeat,
+    SessionPrior,
     features,
     reach_of,
     scaling_of,
@@ -202,10 +202,10 @@ class _Fit:
         there.bench, there.at = best[0], best[1][:-1]
         bench, nats = there._posterior()
         found = replace(fit, bench=bench, prior=there._further(bench), identified=tuple(there.identified),
-                        repeats=there._repeats(bench), joint_minimum=None)
+                        session_priors=there._session_priors(bench), joint_minimum=None)
         nats -= copy.copy(self)._posterior()[1]
         # ln p(y) of the reference trials over all scatters is that of the stated one less its log probability
-        sides = zip(fit.repeats[-1:], found.repeats[-1:], strict=True)
+        sides = zip(fit.session_priors[-1:], found.session_priors[-1:], strict=True)
         return JointMinimum(found, nats + sum(here.log_probability - other.log_probability for here, other in sides),
                             best[1][-1])
 
@@ -236,7 +236,7 @@ class _Fit:
         bench = self._bounded()
         return ReferenceFit(self.model, self.outputs, self.origin, bench, self._further(bench), self.scaling,
                             self.model_error, self.tau, self.scatter_n, self._mean_cost(), self.reach,
-                            tuple(self.identified), self.contradicted, self._repeats(bench),
+                            tuple(self.identified), self.contradicted, self._session_priors(bench),
                             None if self.model.pools_sessions else self.joint_minimum)
 
     def _bounded(self) -> Gaussian:
@@ -307,7 +307,7 @@ class _Fit:
             bench, nats = self._joint(range(len(self.trials)))
             yield bench, nats - 0.5 * float(log) ** 2
 
-    def _repeats(self, stated: Gaussian) -> tuple[Repeat, ...]:
+    def _session_priors(self, stated: Gaussian) -> tuple[SessionPrior, ...]:
         """Return the prior of a further trial for each scatter of the `structural` constants, at most the stated one.
 
         `stated`: posterior of the bench with that one.  A larger scatter counts as overdispersion.  Two reference
@@ -321,7 +321,7 @@ class _Fit:
                  for bench, nats in self._by_factor(at, sd[at], np.arange(-3.0, 1.0))]
         self.session_sd = sd
         whole = float(logsumexp([nats for nats, _, _ in found]))
-        return tuple(Repeat(nats - whole, prior, session) for nats, prior, session in found)
+        return tuple(SessionPrior(nats - whole, prior, session) for nats, prior, session in found)
 
     def _mean_cost(self) -> float:
         """Return the mean cost per datum of the reference trials at their modes."""

@@ -149,6 +149,11 @@ class PosteriorMode:
         return np.asarray(self.design @ self.factor)
 
     @cached_property
+    def information(self) -> Array:
+        """HᵀWH."""
+        return np.asarray((self.design.T * self.weight) @ self.design)
+
+    @cached_property
     def strain(self) -> float:
         """Return the RMS departure from the prior's mean, in prior σ, over the directions that the data determine.
 

@@ -33,10 +33,11 @@ def waves(signals: tuple[str, ...], states: int) -> dict[str, tuple[Array, Array
             for name in signals}
 
 
-class Repeat(NamedTuple):
-    """One scatter of the structural constants between sessions: its log probability given the reference trials.
+class SessionPrior(NamedTuple):
+    """Prior of a further trial under one scatter of the structural constants between sessions.
 
-    `prior`: prior of a further trial under it.  `session`: variance between sessions of constants and feature weights.
+    `log_probability`: that of the scatter, given the reference trials.  `session`: variance between sessions of
+    constants and feature weights.
     """
 
     log_probability: float
@@ -91,7 +92,7 @@ class ReferenceFit:
     `identified`: coordinates and feature weights at the mode of each reference trial.  `scatter_n`: RMS error by
     output, N, of the other reference trials' models on one trial; a single trial is predicted by its model.
     `contradicted`: nats by which a restart of the fit found a better minimum than the first start, 0 if it did not.
-    `repeats`: priors by how far structural constants scatter between sessions, () where that is not known.
+    `session_priors`: priors by how far structural constants scatter between sessions, () where that is not known.
     `joint_minimum`: function of this fit, a further trial and its mode that returns the reference condition at their
     joint minimum; None for a condition that was not fitted here, and for pooled sessions.
     """
@@ -109,7 +110,7 @@ class ReferenceFit:
     reach: Reach | None
     identified: tuple[tuple[Array, Array], ...] = ()
     contradicted: float = 0.0
-    repeats: tuple[Repeat, ...] = ()
+    session_priors: tuple[SessionPrior, ...] = ()
     joint_minimum: Callable[[ReferenceFit, Recording, Array], JointMinimum] | None = None
 
     def warning(self) -> str:
@@ -177,12 +178,11 @@ class ReferenceFit:
         session = np.diag(self.prior.covariance - self.bench.covariance)
         return replace(self.prior, covariance=self.prior.covariance + np.diag(self._unseen(observed) * session))
 
-    def repeats_of(self, observed: SessionData) -> list[tuple[float, Gaussian]]:
-        """Return each of `repeats` for the session `observed`: its log probability and its prior, grown as `prior_of`.
-        """
+    def session_priors_of(self, observed: SessionData) -> list[tuple[float, Gaussian]]:
+        """Return log probability and prior of each of `session_priors` for the session `observed`, as `prior_of`."""
         growth = self._unseen(observed)
         return [(nats, replace(prior, covariance=prior.covariance + np.diag(growth * session)))
-                for nats, prior, session in self.repeats]
+                for nats, prior, session in self.session_priors]
 
     def _unseen(self, observed: SessionData) -> Array:
         """Return the growth of the session's variances with motion beyond the references', constants first."""

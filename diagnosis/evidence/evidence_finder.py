@@ -410,8 +410,8 @@ def _beyond(found: TrialModes, decided: Decision, bench: Mapping[str, float]) ->
 
 def _held_out(found: TrialModes, decided: Decision, reference: ReferenceFit, tables: Sequence[Table],
               read: Sequence[Recording]) -> HeldOut:
-    named = _mode_of(found, decided) if decided.chosen else None
-    return held_out(found.observed, reference, (found.null, named), blocks_of(tables, read))
+    return held_out(found.observed, found.prior, reference, decision.chosen_variants(found, decided.chosen),
+                    (found.null, _mode_of(found, decided)), blocks_of(tables, read))
 
 
 def _limits(found: TrialModes, bench: Mapping[str, float]) -> dict[str, Mapping[str, Any]]:

@@ -17,12 +17,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from diagnosis.compared_signals import Figures, SignalResiduals
 from estimation.data.table import Table
 from estimation.likelihood_data import Recording
-from estimation.posterior import LONGEST, PosteriorMode, SessionData
+from estimation.posterior import Gaussian, PosteriorMode, SessionData, begun, loss, mode
 from estimation.reference_fit import ReferenceFit
+from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
 ALONG: Final = ("gait_percent", "rope_m_s", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n")
@@ -133,34 +135,42 @@ class HeldOut:
         return made
 
 
-def held_out(observed: SessionData, reference: ReferenceFit, modes: tuple[PosteriorMode, PosteriorMode | None],
-             blocks: Sequence[NDArray[np.intp]]) -> HeldOut:
+def held_out(observed: SessionData, prior: Gaussian, reference: ReferenceFit, chosen: Sequence[Variant],
+             modes: tuple[PosteriorMode, PosteriorMode], blocks: Sequence[NDArray[np.intp]]) -> HeldOut:
     """Return the errors of a trial, each of its cycles predicted by fits to the others.
 
-    `modes`: without and with the chosen effects, None if none is chosen.
+    `modes`: of the whole trial, without and with the `chosen` effects.
     """
-    cycles = np.concatenate([np.tile(b, len(observed.outputs)) for b in blocks])
-    null, named = modes
-    return HeldOut(observed, reference.missed(observed), left_out(observed, null, cycles),
-                   None if named is None else left_out(observed, named, cycles), blocks)
+    cycles, (null, named) = np.concatenate([np.tile(b, len(observed.outputs)) for b in blocks]), modes
+    return HeldOut(observed, reference.missed(observed), left_out(observed, prior, [], null, cycles),
+                   left_out(observed, prior, chosen, named, cycles) if chosen else None, blocks)
 
 
-def left_out(observed: SessionData, at: PosteriorMode, cycles: NDArray[np.intp]) -> Array:
-    """Return the residual of each datum by a fit to the other `cycles` than its own.
+def left_out(observed: SessionData, prior: Gaussian, variants: Sequence[Variant], at: PosteriorMode,
+             cycles: NDArray[np.intp]) -> Array:
+    """Return the residual of each datum by a fit to the other `cycles` than its own; `at`: mode of all with `variants`.
 
-    The fit is one Gauss–Newton step from the mode of all cycles, x̂₋ᵢ = x̂ − (A − HᵢᵀWᵢHᵢ)⁻¹HᵢᵀWᵢrᵢ, A = P⁻¹ + HᵀWH
-    (Cook and Weisberg 1982, deletion of several cases), at most `LONGEST` as in any fit.
+    One Gauss–Newton step from that mode: x̂₋ᵢ = x̂ − (A − HᵢᵀWᵢHᵢ)⁻¹HᵢᵀWᵢrᵢ, A = P⁻¹ + HᵀWH (Cook and Weisberg 1982,
+    deletion of several cases).  Where it does not lower the cost of the other cycles, they are fitted.
     """
-    inward, left, spread = at.inward, at.residual.copy(), np.sqrt((at.factor[:at.constants] ** 2).sum(axis=1))
-    whole = np.eye(at.x.size) + inward.T @ (at.weight[:, None] * inward)
+    inward, left = at.inward, at.residual.copy()
+    whole = np.eye(at.x.size) + at.factor.T @ at.information @ at.factor
     for cycle in np.unique(cycles):
         own = cycles == cycle
-        light = at.weight[own, None] * inward[own]
+        light, root = at.weight[own, None] * inward[own], np.sqrt(np.where(own, 0.0, observed.weight))
+
+        def cost(residual: Array, x: Array, root: Array = root) -> float:
+            off = solve_triangular(at.factor, x - at.prior_mean, lower=True)
+            return loss(residual, root) + float(off @ off)
+
         step = -at.factor @ np.linalg.solve(whole - inward[own].T @ light, light.T @ at.residual[own])
-        step /= max(1.0, float(np.abs(step[:at.constants] / spread).max()) / LONGEST)
         q = at.q.copy()
         q[list(at.active)] += step[:at.constants]
-        left[own] = rest(observed, replace(at, q=q, x=at.x + step))[own]
+        moved = rest(observed, replace(at, q=q, x=at.x + step))
+        if not cost(moved, at.x + step) <= cost(at.residual, at.x):
+            others = replace(observed, weight=np.where(own, 1e-9, observed.weight))
+            moved = rest(observed, mode(others, prior, variants, begun(at, None, kept=variants)))
+        left[own] = moved[own]
     return left
 
 

@@ -29,9 +29,9 @@ class TrialModes:
     `reference`: reference condition.
     `prior`: prior of the session at the minimum of the best effect.  `variants`: the variant that each effect of
     `single` was fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since
-    their best value is outside their bounds.  `repeats`: log probability and prior of each scatter between sessions
-    over which evidence is averaged (none: that of `prior` alone).  `repeats_motion`: the trial is a difference to a
-    reference trial of its motion.
+    their best value is outside their bounds.  `session_priors`: log probability and prior of each scatter between
+    sessions over which evidence is averaged (none: that of `prior` alone).  `repeats_motion`: the trial is a
+    difference to a reference trial of its motion.
     """
 
     observed: SessionData
@@ -43,7 +43,7 @@ class TrialModes:
     pair: dict[tuple[str, str], PosteriorMode] = field(default_factory=dict)
     paired: dict[str, Variant] = field(default_factory=dict)
     refused: set[str] = field(default_factory=set)
-    repeats: Sequence[tuple[float, Gaussian]] = ()
+    session_priors: Sequence[tuple[float, Gaussian]] = ()
     repeats_motion: bool = False
 
     def gains(self) -> dict[str, float]:
@@ -81,13 +81,13 @@ def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[st
 
 
 def search(observed: SessionData, prior: Gaussian, reference: ReferenceFit,
-           repeats: Sequence[tuple[float, Gaussian]] = (), *, repeats_motion: bool = False) -> TrialModes:
+           session_priors: Sequence[tuple[float, Gaussian]] = (), *, repeats_motion: bool = False) -> TrialModes:
     """Fit the null and the effects that the screen ranks first, and restart the fits from each other's modes.
 
     The null starts at the prior's mean and at the modes of the trials of the `reference` condition.
     """
     null = max((mode(observed, prior, start=at) for at in (None, *reference.starts())), key=lambda m: m.log_evidence)
-    found = TrialModes(observed, prior, reference, null, repeats=repeats, repeats_motion=repeats_motion)
+    found = TrialModes(observed, prior, reference, null, session_priors=session_priors, repeats_motion=repeats_motion)
     found.null = _averaged(found, null)
     offered = hypotheses(observed, observed.model.constants.named(prior.origin))
     # at the reference constants no constant has taken up an effect
@@ -112,7 +112,7 @@ def search_joint_minimum(found: TrialModes, least: float, clear: float = 10.0) -
         return
     fit, nats, start = first.joint_minimum(first, found.observed.trials[0], found.null.x)
     other = replace(found, prior=fit.prior_of(found.observed), reference=fit, single={}, variants={},
-                    repeats=fit.repeats_of(found.observed))
+                    session_priors=fit.session_priors_of(found.observed))
     fitted = [at for x in (start, found.null.x) if (at := _fit(other, [], x)) is not None]
     if not fitted:
         return
@@ -124,7 +124,7 @@ def search_joint_minimum(found: TrialModes, least: float, clear: float = 10.0) -
     highest, there = (max(at.log_evidence for at in (modes.null, *modes.single.values())) for modes in (found, other))
     found.reference = replace(first, joint_minimum=None)  # asked once
     if there + nats > highest:
-        found.prior, found.reference, found.repeats = other.prior, fit, other.repeats
+        found.prior, found.reference, found.session_priors = other.prior, fit, other.session_priors
     found.null = max(found.null, _shifted(other.null, nats), key=lambda at: at.log_evidence)
     for name, at in other.single.items():
         _keep(found, name, other.variants[name], _shifted(at, nats))
@@ -189,7 +189,7 @@ def _fit(found: TrialModes, variants: list[Variant], start: Array) -> PosteriorM
 def _averaged(found: TrialModes, at: PosteriorMode, variants: Sequence[Variant] = ()) -> PosteriorMode:
     """Return a mode with its evidence averaged over how far constants and discrepancy scatter between sessions."""
     amplitude, shares = feature_sd(found.reference), found.observed.model.session_shares
-    nats = [weight + averaged(under(at, prior, variants), amplitude, shares) for weight, prior in found.repeats]
+    nats = [weight + averaged(under(at, prior, variants), amplitude, shares) for weight, prior in found.session_priors]
     return replace(at, log_evidence=float(logsumexp(nats)) if nats else averaged(at, amplitude, shares))
 
 

@@ -28,12 +28,12 @@ REPEAT: Final = "repeat"
 class Pair:
     """A trial less the residual of reference trial number `reference`: its data, and its prior about that trial.
 
-    `repeats`: priors by the scatter between sessions, as in `TrialModes`.
+    `session_priors`: priors by the scatter between sessions, as in `TrialModes`.
     """
 
     observed: SessionData
     prior: Gaussian
-    repeats: Sequence[tuple[float, Gaussian]]
+    session_priors: Sequence[tuple[float, Gaussian]]
     reference: int
 
 
@@ -58,16 +58,18 @@ def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: S
     """Return the modes of a trial, and its pair if a reference trial has its motion: then the modes are the pair's."""
     pair = paired(fit, references, observed)
     if pair is None:
-        return search(observed, fit.prior_of(observed), fit, fit.repeats_of(observed)), None
+        return search(observed, fit.prior_of(observed), fit, fit.session_priors_of(observed)), None
     # the pair's prior is about one reference trial's mode, which no other minimum of all of them changes
-    return search(pair.observed, pair.prior, replace(fit, joint_minimum=None), pair.repeats, repeats_motion=True), pair
+    return search(pair.observed, pair.prior, replace(fit, joint_minimum=None), pair.session_priors,
+                  repeats_motion=True), pair
 
 
 def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int) -> Pair:
     """Return the pair of a trial and reference trial `number`, the recording `other`, `lag` samples behind it."""
     session = np.diag(fit.prior.covariance - fit.bench.covariance)
     return Pair(_difference(fit, other, observed, number, lag), _prior(fit, number, session),
-                [(each.log_probability, _prior(fit, number, each.session)) for each in fit.repeats], number)
+                [(each.log_probability, _prior(fit, number, each.session)) for each in fit.session_priors],
+                number)
 
 
 def _lag(trial: Recording, other: Recording, most_s: float = 2.0, identical: float = 0.01, covered: float = 0.8

@@ -1,9 +1,10 @@
-"""Evidence averaged over a further change of the discrepancy between sessions.
+"""Evidence of a mode averaged over what changes between sessions: scatter of the constants, and the discrepancy.
 
     y − f(q̂ + x) = Φ(c + d + a·d′) + ε        d′ ~ N(0, σ_c²), a of `ForwardModel.session_shares` with equal weights.
 
 A rig whose structure is not the model's differs between sessions in more than its constants.  The further change is
-linear at a mode, so that each evidence is a closed form of the mode's own matrices; nothing is fitted again.
+linear at a mode, so that each evidence is a closed form of the mode's own matrices, under any prior; nothing is fitted
+again.
 """
 
 from collections.abc import Sequence
@@ -34,8 +35,7 @@ def under(at: PosteriorMode, prior: Gaussian, variants: Sequence[Variant]) -> Po
     """
     _, mean, covariance, _ = widened(at.table, prior, variants)
     factor: Array = np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance))), np.float64)
-    scaled = at.design * np.sqrt(at.weight)[:, None]
-    square, slope = scaled.T @ scaled, at.design.T @ (at.weight * at.residual)
+    square, slope = at.information, at.design.T @ (at.weight * at.residual)
 
     def nats(mean: Array, factor: Array, inner: Any) -> float:
         off = mean - at.x

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.evidence.identical_motion import pair_of
 from diagnosis.evidence.session_change import averaged, feature_sd, under
 from estimation.path_model import PATH_MODEL
 from estimation.posterior import Gaussian, PosteriorMode, SessionData, mode
@@ -65,17 +66,22 @@ def test_another_prior_has_the_evidence_of_the_datas_own_covariance(alone: tuple
 
 
 def test_one_reference_trial_shows_no_scatter(alone: tuple[ReferenceFit, SessionData]) -> None:
-    assert alone[0].repeats == ()
+    assert alone[0].session_priors == ()
 
 
 @pytest.mark.slow
 def test_two_reference_trials_weigh_the_scatter_of_structural_constants() -> None:
     made = case(BENCH)
     fit = EvidenceFinder(made.healthy[:2]).reference([made.trial])
-    assert sum(np.exp(each.log_probability) for each in fit.repeats) == pytest.approx(1.0)
+    assert sum(np.exp(each.log_probability) for each in fit.session_priors) == pytest.approx(1.0)
     # the last one is the stated scatter, so that it has the prior of the fit itself
-    np.testing.assert_allclose(fit.repeats[-1].prior.covariance, fit.prior.covariance, rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(fit.session_priors[-1].prior.covariance, fit.prior.covariance, rtol=1e-6, atol=1e-15)
     names = [fit.model.constants.names[i] for i in fit.model.constants.free]
     scaled = [n in fit.model.structural for n in names]
-    narrow, stated = (np.sqrt(each.session[:len(names)]) for each in (fit.repeats[0], fit.repeats[-1]))
+    narrow, stated = (np.sqrt(each.session[:len(names)]) for each in (fit.session_priors[0], fit.session_priors[-1]))
     np.testing.assert_allclose(narrow / stated, np.where(scaled, np.exp(-3.0), 1.0))
+    # a pair of identical motion has the same scatters, of two sessions
+    recording = PATH_MODEL.record(made.healthy[0])
+    pair = pair_of(fit, recording, fit.observe(recording), 0, 0)
+    np.testing.assert_allclose(pair.session_priors[-1][1].covariance, pair.prior.covariance, rtol=1e-6)
+    assert [nats for nats, _ in pair.session_priors] == [each.log_probability for each in fit.session_priors]
