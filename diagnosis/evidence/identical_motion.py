@@ -2,9 +2,11 @@
 
     y − e_r = f(q_r + δ; m) + Φ(c_r + d) + ε        e_r: residual of the reference trial at its own mode (q_r, c_r)
 
-The model error under one motion repeats under it, so that e_r removes it.  δ and d are differences of two
-sessions; their 1σ is √2 times that of one session.  ε: sensor noise of both trials, and of the model error the share
-that changes between sessions (`ForwardModel.session_share`).
+The model error under one motion repeats under it, so that e_r removes it.  δ = s − s_r and d are differences of two
+sessions.  What all reference trials say of s_r, the departure of session r from the bench, counts; but what absorbs
+model error (gains of `ForwardModel.surrogate_sd`, feature weights) departs by what repeats: its 1σ is √2 times that of
+one session.  ε: sensor noise of both trials, and of the model error the share that changes between sessions
+(`ForwardModel.session_share`).
 """
 
 import copy
@@ -17,7 +19,7 @@ import numpy as np
 from diagnosis.evidence.hypothesis_search import TrialModes, search
 from estimation.likelihood_data import GRID_S, Recording
 from estimation.posterior import Gaussian, SessionData
-from estimation.reference_fit import ReferenceFit
+from estimation.reference_fit import ReferenceFit, SessionPrior
 from physics.laws import Array
 
 REPEAT: Final = "repeat"
@@ -66,10 +68,12 @@ def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: S
 
 def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int) -> Pair:
     """Return the pair of a trial and reference trial `number`, the recording `other`, `lag` samples behind it."""
-    session = np.diag(fit.prior.covariance - fit.bench.covariance)
-    return Pair(_difference(fit, other, observed, number, lag), _prior(fit, number, session),
-                [(each.log_probability, _prior(fit, number, each.session)) for each in fit.session_priors],
-                number)
+    known = fit.observe(other)
+    design = np.hstack([known.jacobian(fit.identified[number][0], list(fit.model.constants.free))[1], known.features])
+    information = (design.T * known.weight) @ design
+    stated = SessionPrior(0.0, fit.prior, np.diag(fit.prior.covariance - fit.bench.covariance))
+    return Pair(_difference(fit, known, observed, number, lag), _prior(fit, number, information, stated),
+                [(each.log_probability, _prior(fit, number, information, each)) for each in fit.session_priors], number)
 
 
 def _lag(trial: Recording, other: Recording, most_s: float = 2.0, identical: float = 0.01, covered: float = 0.8
@@ -102,14 +106,14 @@ def _motion(trial: Recording) -> Array:
     return np.stack([trial.sampled(name) for name in ("servo_position_m", "knee_angle_rad")])
 
 
-def _difference(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int,
+def _difference(fit: ReferenceFit, known: SessionData, observed: SessionData, number: int, lag: int,
                 inflation: float = 1.5) -> SessionData:
-    """Return the trial less the residual of the reference trial `other`, which is `lag` samples behind.
+    """Return the trial less the residual of the reference trial `known`, which is `lag` samples behind.
 
     `inflation`: factor on the variance.  Without it a healthy pair of `tests/diagnosis/test_diagnosis_gates.py` has a
     lack of fit (1.9 times the variance), since a residual at its own mode is smaller than that of another trial.
     """
-    trial, known = observed.trials[0], fit.observe(other)
+    trial, other = observed.trials[0], known.trials[0]
     q, c = fit.identified[number]
     missed = known.data - known.predicted(q) - known.features @ c
     at, have = trial.rows * trial.width + lag, other.rows * other.width
@@ -127,8 +131,21 @@ def _difference(fit: ReferenceFit, other: Recording, observed: SessionData, numb
     return replace(observed, trials=(made,), weight=weight, tau=np.ones(len(fit.outputs)))
 
 
-def _prior(fit: ReferenceFit, number: int, session: Array) -> Gaussian:
-    """Return the prior of the trial's constants: mean at the reference trial's mode, twice the variance `session`."""
+def _prior(fit: ReferenceFit, number: int, information: Array, further: SessionPrior) -> Gaussian:
+    """Return the prior of a trial with the motion of reference trial `number`.
+
+    `information`: HᵀWH of that reference trial at its mode.  `further`: prior of a trial of any motion, mean b̂ and
+    covariance B + S.  With P = (S⁻¹ + HᵀWH)⁻¹ and s_r = P·HᵀWH·(x_r − b) + N(0, P), the trial has the mean b̂ and the
+    covariance S + P + P·HᵀWH·B·HᵀWH·P.
+    """
     q, c = fit.identified[number]
-    free = list(fit.model.constants.free)
-    return Gaussian(fit.origin, np.concatenate([(q - fit.origin)[free], c]), np.diag(2.0 * session))
+    free, names = list(fit.model.constants.free), fit.model.constants.names
+    session, bench = np.diag(further.session), further.prior.covariance - np.diag(further.session)
+    root = np.sqrt(session)
+    left = root @ np.linalg.solve(np.eye(c.size + len(free)) + root @ information @ root, root)
+    known = left @ information
+    covariance = session + left + known @ bench @ known.T
+    absorbs = np.array([names[i] in fit.model.surrogate_sd for i in free] + [True] * c.size)
+    covariance = np.where(absorbs[:, None] | absorbs, 2.0 * session, covariance)
+    return Gaussian(fit.origin, np.where(absorbs, np.concatenate([(q - fit.origin)[free], c]), further.prior.mean),
+                    0.5 * (covariance + covariance.T))

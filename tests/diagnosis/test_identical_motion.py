@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis.evidence.evidence_finder import EvidenceFinder
-from diagnosis.evidence.identical_motion import paired
+from diagnosis.evidence.identical_motion import pair_of, paired
 from estimation.data.table import Table, table
 from estimation.path_model import PATH_MODEL
 from estimation.reference_fit import ReferenceFit
@@ -56,6 +56,31 @@ def test_what_the_model_misses_is_gone_from_the_difference(bench: tuple[Evidence
     q, c = fit.identified[0]
     left = made.observed.data - made.observed.predicted(q) - made.observed.features @ c
     assert float(np.abs(left[made.observed.weight > 0.0]).max()) < 1e-6
+
+
+def test_a_repeat_departs_by_what_reference_trials_leave_of_both_sessions(
+    bench: tuple[EvidenceFinder, ReferenceFit, Table]
+) -> None:
+    finder, fit, _ = bench
+    known = PATH_MODEL.record(finder._tables[0])
+    pair = pair_of(fit, known, fit.observe(known), 0, 0)
+    session = np.diag(fit.prior.covariance - fit.bench.covariance)
+    # joint precision of bench b and session x = b + s, the bench's own from its posterior, which has this session
+    data, seen = fit.observe(known), list(fit.model.constants.free)
+    design = np.hstack([data.jacobian(fit.identified[0][0], seen)[1], data.features])
+    scale = np.sqrt(session)
+    information = scale[:, None] * ((design.T * data.weight) @ design) * scale
+    one = np.eye(scale.size)
+    bench_alone = np.linalg.inv(fit.bench.covariance / np.outer(scale, scale)) - (
+        information - information @ np.linalg.solve(one + information, information))
+    joint = np.linalg.inv(np.block([[bench_alone + one, -one], [-one, one + information]]))
+    half = scale.size
+    between = one + joint[:half, :half] + joint[half:, half:] - joint[:half, half:] - joint[half:, :half]
+    names = [fit.model.constants.names[i] for i in seen]
+    plain = [k for k, name in enumerate(names) if name not in fit.model.surrogate_sd]
+    found = pair.prior.covariance / np.outer(scale, scale)
+    np.testing.assert_allclose(found[np.ix_(plain, plain)], between[np.ix_(plain, plain)], atol=1e-4)
+    np.testing.assert_allclose(found[half - 1, half - 1], 2.0)  # a feature's weight absorbs model error
 
 
 @pytest.mark.exhaustive
