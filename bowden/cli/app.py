@@ -11,6 +11,7 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Annotated, Any, Final, TextIO, TypeVar
 
@@ -35,7 +36,18 @@ class NothingGivenError(InputError):
 
 
 class ShortHelpCommand(TyperCommand):
-    """A command whose help shows arguments as words."""
+    """A command whose help shows arguments as words, and whose `--healthy good_*.mcap` takes several trials."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments; trials that a shell lists behind an option are the option's, if others come first."""
+        parameters, made, option = self.get_params(ctx), list(args[:1]), ""
+        several = {name for one in parameters if str(one.metavar).endswith("...") for name in one.opts}
+        if made and made[0].startswith("-") and any(map(_is_argument, parameters)):
+            return super().parse_args(ctx, args)
+        for last, word in pairwise(args):
+            option = last if last in several else "" if word.startswith("-") else option
+            made += [option, word] if option and last != option else [word]
+        return super().parse_args(ctx, made)
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return the parts of the usage line."""

@@ -127,7 +127,7 @@ Logbook = Annotated[Path | None, option(
     "Logbook to enter it in (default: [record] logbook of the configuration).", "DIR")]
 Session = Annotated[str | None, option("Session of the logbook (default: the date; simulated: the day).", "LABEL")]
 
-Healthy = Annotated[list[Path] | None, option("Reference trial of the healthy bench; repeatable.", "TRIAL")]
+Healthy = Annotated[list[Path] | None, option("Reference trials of the healthy bench, one or several.", "TRIAL...")]
 
 Peak = Annotated[float | None, option("Peak of the desired force, N (default 40).", "N")]
 Period = Annotated[float | None, option("Gait period, s (default 2.0, or the knee file's stride).", "S")]

@@ -46,7 +46,7 @@ def test_an_unknown_command_is_one_sentence(bowden: Callable[..., tuple[int, str
 
 
 @pytest.mark.parametrize(("words", "said"), [
-    (("diagnose", "--help"), "Reference trial of the healthy bench"),
+    (("diagnose", "--help"), "--healthy TRIAL... Reference trials of the healthy bench"),
     (("logbook", "--help"), "Track a bench's constants over months."),
     (("--help",), "Track a bench's constants over months."),
 ])
@@ -54,6 +54,19 @@ def test_a_help_names_what_its_reader_has(
     bowden: Callable[..., tuple[int, str, str]], words: tuple[str, ...], said: str,
 ) -> None:
     assert said in " ".join(bowden(*words)[1].split())
+
+
+@pytest.mark.parametrize(("words", "trials", "healthy"), [
+    ("a b --healthy g h i --holdout k --json", ["a", "b"], ["g", "h", "i"]),
+    ("a --healthy g --healthy h", ["a"], ["g", "h"]),
+    ("--healthy g a b", ["a", "b"], ["g"]),  # an option before the trials takes one
+    ("a --healthy g --json b", ["a", "b"], ["g"]),
+])
+def test_trials_that_a_shell_lists_behind_an_option_are_the_options(
+    words: str, trials: list[str], healthy: list[str]
+) -> None:
+    given = whole().commands["diagnose"].make_context("diagnose", words.split()).params
+    assert ([str(one) for one in given["trials"]], [str(one) for one in given["healthy"]]) == (trials, healthy)
 
 
 PAGES = sorted((Path(__file__).parents[2] / "docs").glob("*.md"))

@@ -27,7 +27,7 @@ with on_first_use():
 def diagnose(
     trials: Annotated[list[Path] | None, argument("TRIAL…", "MCAP, or CSV (.gz) with canonical headers.")] = None,
     calibration: options.Calibration = None, healthy: options.Healthy = None,
-    holdout: Annotated[list[Path] | None, option("Never fitted, only judged; repeatable.", "TRIAL")] = None,
+    holdout: Annotated[list[Path] | None, option("Trials that are never fitted, only judged.", "TRIAL...")] = None,
     path: options.ForcePath = None, lowpass: options.Lowpass = None,
     output: Annotated[Path | None, new_file(
         "extended.toml: named effects, for --plant-model and --controller-model.", "what was found", ".toml")] = None,

@@ -114,7 +114,7 @@ def identify(
     output: Annotated[Path, new_file("File to write.", "a calibration", ".toml")],
     calibration: Annotated[Path | None, option("Calibration to start from.", "FILE")] = None,
     recorded: Annotated[list[Path] | None, option(
-        "Fit recorded experiments in place of measuring; repeatable.", "TRIAL", "--from")] = None,
+        "Fit recorded experiments in place of measuring.", "TRIAL...", "--from")] = None,
     picture: Annotated[Path | None, new_file(
         "Draw the paper's Figs. 9 and 10 (png, svg, pdf).", *options.PICTURE, name="--picture")] = None,
     *, no_gait: Annotated[bool, option(

@@ -111,7 +111,7 @@ def mend(
     output: Annotated[Path, option(
         "Folder for trials, journal, extended.toml and mend.html.", "DIR", "-o", "--output")],
     reference: Annotated[list[Path] | None, option(
-        "Trial of the bench in the reference condition, of bowden trial; repeatable.", "TRIAL")] = None,
+        "Trials of the bench in the reference condition, of bowden trial.", "TRIAL...")] = None,
     hours: Annotated[float, option("Bench time after which no trial begins.", "HOURS", min=0.0)] = 1.0,
     cycles: Annotated[int, option("Gait cycles of each trial.", "COUNT", min=4)] = 10,
     resume: Annotated[bool, option("Go on with the journal in the folder.")] = False,
