@@ -20,6 +20,7 @@ import numpy as np
 
 from estimation.linear_sums import SessionSums, Sums
 from parameters import InputError
+from parameters.files import json_text
 from physics.laws import Array
 from physics.older_files import renamed_in_sql
 
@@ -210,8 +211,8 @@ class Logbook:
             entered = db.execute(
                 "INSERT INTO trial(session, digest, path, added, experiment, outcome, seconds, conditions, figures, "
                 "software) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-                (of, new.digest, path, now(), new.experiment, new.outcome, new.seconds, _json(new.conditions),
-                 _json(new.figures), new.software))
+                (of, new.digest, path, now(), new.experiment, new.outcome, new.seconds, json_text(new.conditions, str),
+                 json_text(new.figures, str), new.software))
             return int(entered.lastrowid or 0), True
 
     def enter_reference(self, constants: Sequence[str], trials: Sequence[int], model: bytes, after: int | None) -> bool:
@@ -242,12 +243,13 @@ class Logbook:
     def enter_verdict(self, trial: int, content: Mapping[str, Any]) -> None:
         """Enter the verdict of a diagnosis of a trial."""
         with self._writing() as db:
-            db.execute("INSERT INTO verdict(trial, made, content) VALUES (?, ?, ?)", (trial, now(), _json(content)))
+            db.execute("INSERT INTO verdict(trial, made, content) VALUES (?, ?, ?)",
+                       (trial, now(), json_text(content, str)))
 
     def enter_cause(self, content: Mapping[str, Any]) -> None:
         """Enter the diagnosis of a change."""
         with self._writing() as db:
-            db.execute("INSERT INTO cause(made, content) VALUES (?, ?)", (now(), _json(content)))
+            db.execute("INSERT INTO cause(made, content) VALUES (?, ?)", (now(), json_text(content, str)))
 
     def enter_model(self, kind: str, path: Path, content: str) -> None:
         """Enter a bench model file: `kind` "calibration" of identify, "fit" of fit."""
@@ -457,18 +459,6 @@ def _reporting(place: Path) -> Iterator[None]:
 def now() -> str:
     """Return the present time, UTC, ISO 8601."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-
-
-def _json(content: Mapping[str, Any]) -> str:
-    return json.dumps(_finite(dict(content)), ensure_ascii=False, allow_nan=False, default=str)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(k): _finite(v) for k, v in value.items()}
-    return [_finite(v) for v in value] if isinstance(value, list | tuple) else value
 
 
 def _packed(values: Array) -> bytes:

@@ -6,11 +6,13 @@ beside its target, under a random name, and then renamed.
 
 import gzip
 import io
+import json
+import math
 import os
 import stat
 import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -197,3 +199,19 @@ __all__ = [
     "unpacked_limit",
     "write_whole",
 ]
+
+
+def json_text(content: Mapping[str, Any], otherwise: Callable[[Any], Any] | None = None) -> str:
+    """Return a JSON object, keys as given; an undefined number (NaN, infinite) is null.
+
+    `otherwise`: turns a value that JSON has not into one that it has; without it such a value raises TypeError.
+    """
+    return json.dumps(_defined(content), ensure_ascii=False, allow_nan=False, default=otherwise)
+
+
+def _defined(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(k): _defined(v) for k, v in value.items()}
+    return [_defined(v) for v in value] if isinstance(value, list | tuple) else value

@@ -1,6 +1,5 @@
 """Output of a command: one JSON object or a table on stdout, progress and remarks on stderr."""
 
-import json
 import math
 import sys
 import textwrap
@@ -8,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import Any, NamedTuple
+
+from parameters.files import json_text
 
 
 class AnswerTable(NamedTuple):
@@ -77,17 +78,7 @@ def quiet() -> bool:
 
 def emit(result: Mapping[str, Any]) -> None:
     """Write one JSON object on stdout, keys as given; an undefined number (NaN, infinite) is null."""
-    print(json.dumps(_defined(result), ensure_ascii=False, allow_nan=False))
-
-
-def _defined(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(k): _defined(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_defined(v) for v in value]
-    return value
+    print(json_text(result))
 
 
 def _print(part: str | AnswerTable | Paragraph) -> None:
