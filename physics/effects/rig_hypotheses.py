@@ -80,6 +80,9 @@ def tension_hypotheses(load: float, speed: float, peak: float) -> dict[str, Hypo
     def part(k: int) -> Callable[[Values, Values], float]:
         return lambda values, bench: parts_of(values, "", load, speed)[k]
 
+    def coefficient(values: Values, bench: Values) -> float:
+        return math.asinh(parts_of(values, "", load, speed)[1]) / THETA1
+
     def slope(values: Values, bench: Values) -> float:
         dry, per_load, _ = parts_of(values, "", load, speed)
         return -dry / max(dry + per_load * LOAD_N, 1e-9)
@@ -91,9 +94,10 @@ def tension_hypotheses(load: float, speed: float, peak: float) -> dict[str, Hypo
     return {
         "cable_friction": Hypothesis(FRICTION, _variant(
             ({"friction": 1.0}, 0.7), ({"load_share": 1.0}, 0.2), ({"viscous_share": 1.0}, 0.2)), {
-                "mu1": lambda v, b: math.asinh(part(1)(v, b)) / THETA1, "coulomb": part(0), "viscous": part(2)}),
+                "mu1": coefficient, "coulomb": part(0), "viscous": part(2)}),
         "viscous_friction": Hypothesis(FRICTION, _share("", "viscous", 0.5), {"viscous": part(2)}),
-        "load_dependent_friction": Hypothesis(FRICTION, _share("", "load", 0.5), {"load_slope": slope}),
+        "load_dependent_friction": Hypothesis(FRICTION, _share("", "load", 0.5), {
+            "mu1": coefficient, "load_slope": slope}),
         "stribeck": Hypothesis(FRICTION, _variant(({"rest": 1.0}, 0.5), ({"rest_speed": 1.0}, 0.8)), {
             "stribeck_ratio": lambda v, b: 1.0 + v["rest"], "stribeck_speed": lambda v, b: v["rest_speed"]}),
         "presliding": Hypothesis(FRICTION, _variant(({"travel": 1.0}, 1.0)), {"presliding": turned_over}),
