@@ -205,9 +205,9 @@ class _Fit:
                         session_priors=there._session_priors(bench), joint_minimum=None)
         nats -= copy.copy(self)._posterior()[1]
         # ln p(y) of the reference trials over all scatters is that of the stated one less its log probability
-        sides = zip(fit.session_priors[-1:], found.session_priors[-1:], strict=True)
-        return JointMinimum(found, nats + sum(here.log_probability - other.log_probability for here, other in sides),
-                            best[1][-1])
+        nats += sum(here.log_probability - other.log_probability for here, other in zip(
+            fit.session_priors, found.session_priors, strict=True) if here.log_factor == 0.0)
+        return JointMinimum(found, nats, best[1][-1])
 
     def _posterior(self) -> tuple[Gaussian, float]:
         """Return the posterior of the bench by the trials linearised where they stand, and its log evidence, nats.
@@ -308,20 +308,20 @@ class _Fit:
             yield bench, nats - 0.5 * float(log) ** 2
 
     def _session_priors(self, stated: Gaussian) -> tuple[SessionPrior, ...]:
-        """Return the prior of a further trial for each scatter of the `structural` constants, at most the stated one.
+        """Return the prior of a further trial for each scatter of the `structural` constants.
 
-        `stated`: posterior of the bench with that one.  A larger scatter counts as overdispersion.  Two reference
-        trials do not decide κ, so that evidence is averaged over it.
+        `stated`: posterior of the bench with the stated one.  Two reference trials do not decide κ, so that evidence is
+        averaged over it.
         """
         at = [self.constants.index[name] for name in self.model.structural]
         if len(self.trials) < 2 or not at:
             return ()
-        sd, middle = self.session_sd.copy(), self._joint(range(len(self.trials)))[0].mean
-        found = [(nats, self._further(replace(bench, mean=stated.mean + bench.mean - middle)), self._session())
-                 for bench, nats in self._by_factor(at, sd[at], np.arange(-3.0, 1.0))]
+        sd, middle, logs = self.session_sd.copy(), self._joint(range(len(self.trials)))[0].mean, np.arange(-3.0, 2.0)
+        found = [(float(log), nats, self._further(replace(bench, mean=stated.mean + bench.mean - middle)),
+                  self._session()) for log, (bench, nats) in zip(logs, self._by_factor(at, sd[at], logs), strict=True)]
         self.session_sd = sd
-        whole = float(logsumexp([nats for nats, _, _ in found]))
-        return tuple(SessionPrior(nats - whole, prior, session) for nats, prior, session in found)
+        whole = float(logsumexp([nats for log, nats, _, _ in found if log <= 0.0]))
+        return tuple(SessionPrior(log, nats - whole, prior, session) for log, nats, prior, session in found)
 
     def _mean_cost(self) -> float:
         """Return the mean cost per datum of the reference trials at their modes."""

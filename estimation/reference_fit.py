@@ -36,10 +36,11 @@ def waves(signals: tuple[str, ...], states: int) -> dict[str, tuple[Array, Array
 class SessionPrior(NamedTuple):
     """Prior of a further trial under one scatter of the structural constants between sessions.
 
-    `log_probability`: that of the scatter, given the reference trials.  `session`: variance between sessions of
-    constants and feature weights.
+    `log_factor`: ln κ, of the scatter over the stated one.  `log_probability`: that of κ, given the reference trials,
+    among those of at most 1.  `session`: variance between sessions of constants and feature weights.
     """
 
+    log_factor: float
     log_probability: float
     prior: Gaussian
     session: Array
@@ -179,10 +180,11 @@ class ReferenceFit:
         return replace(self.prior, covariance=self.prior.covariance + np.diag(self._unseen(observed) * session))
 
     def session_priors_of(self, observed: SessionData) -> list[tuple[float, Gaussian]]:
-        """Return log probability and prior of each of `session_priors` for the session `observed`, as `prior_of`."""
+        """Return log probability and prior of each scatter up to the stated one for the session `observed`, as
+        `prior_of`; a larger one counts as overdispersion."""
         growth = self._unseen(observed)
         return [(nats, replace(prior, covariance=prior.covariance + np.diag(growth * session)))
-                for nats, prior, session in self.session_priors]
+                for log_factor, nats, prior, session in self.session_priors if log_factor <= 0.0]
 
     def _unseen(self, observed: SessionData) -> Array:
         """Return the growth of the session's variances with motion beyond the references', constants first."""

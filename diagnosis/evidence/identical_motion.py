@@ -5,8 +5,9 @@
 The model error under one motion repeats under it, so that e_r removes it.  δ = s − s_r and d are differences of two
 sessions.  What all reference trials say of s_r, the departure of session r from the bench, counts; but what absorbs
 model error (gains of `ForwardModel.surrogate_sd`, feature weights) departs by what repeats: its 1σ is √2 times that of
-one session.  ε: sensor noise of both trials, and of the model error the share that changes between sessions
-(`ForwardModel.session_share`).
+one session.  A pair has no overdispersion: where reference trials support a larger scatter of structural constants than
+the stated one, evidence is averaged over that one, too.  ε: sensor noise of both trials, and of the model error the
+share that changes between sessions (`ForwardModel.session_share`).
 """
 
 import copy
@@ -71,9 +72,12 @@ def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: 
     known = fit.observe(other)
     design = np.hstack([known.jacobian(fit.identified[number][0], list(fit.model.constants.free))[1], known.features])
     information = (design.T * known.weight) @ design
-    stated = SessionPrior(0.0, fit.prior, np.diag(fit.prior.covariance - fit.bench.covariance))
-    return Pair(_difference(fit, known, observed, number, lag), _prior(fit, number, information, stated),
-                [(each.log_probability, _prior(fit, number, information, each)) for each in fit.session_priors], number)
+    stated = SessionPrior(0.0, 0.0, fit.prior, np.diag(fit.prior.covariance - fit.bench.covariance))
+    likeliest = max(fit.session_priors, key=lambda each: each.log_probability, default=stated)
+    scatters = [each for each in fit.session_priors if each.log_factor <= max(0.0, likeliest.log_factor)]
+    whole = float(np.logaddexp.reduce([each.log_probability for each in scatters]))
+    return Pair(_difference(fit, known, observed, number, lag), _prior(fit, number, information, stated), [
+        (each.log_probability - whole, _prior(fit, number, information, each)) for each in scatters], number)
 
 
 def _lag(trial: Recording, other: Recording, most_s: float = 2.0, identical: float = 0.01, covered: float = 0.8

@@ -73,15 +73,21 @@ def test_one_reference_trial_shows_no_scatter(alone: tuple[ReferenceFit, Session
 def test_two_reference_trials_weigh_the_scatter_of_structural_constants() -> None:
     made = case(BENCH)
     fit = EvidenceFinder(made.healthy[:2]).reference([made.trial])
-    assert sum(np.exp(each.log_probability) for each in fit.session_priors) == pytest.approx(1.0)
-    # the last one is the stated scatter, so that it has the prior of the fit itself
-    np.testing.assert_allclose(fit.session_priors[-1].prior.covariance, fit.prior.covariance, rtol=1e-6, atol=1e-15)
+    *narrower, at_stated, wider = fit.session_priors
+    assert [each.log_factor for each in fit.session_priors] == [-3.0, -2.0, -1.0, 0.0, 1.0]
+    assert sum(np.exp(each.log_probability) for each in (*narrower, at_stated)) == pytest.approx(1.0)
+    np.testing.assert_allclose(at_stated.prior.covariance, fit.prior.covariance, rtol=1e-6, atol=1e-15)
+    # a trial of another motion has its larger scatter as overdispersion
+    assert len(fit.session_priors_of(fit.observe(PATH_MODEL.record(made.trial)))) == 4
     names = [fit.model.constants.names[i] for i in fit.model.constants.free]
     scaled = [n in fit.model.structural for n in names]
-    narrow, stated = (np.sqrt(each.session[:len(names)]) for each in (fit.session_priors[0], fit.session_priors[-1]))
+    narrow, stated = (np.sqrt(each.session[:len(names)]) for each in (fit.session_priors[0], at_stated))
     np.testing.assert_allclose(narrow / stated, np.where(scaled, np.exp(-3.0), 1.0))
-    # a pair of identical motion has the same scatters, of two sessions
+    # a pair of identical motion has no overdispersion, but a larger scatter where the reference trials support it
     recording = PATH_MODEL.record(made.healthy[0])
-    pair = pair_of(fit, recording, fit.observe(recording), 0, 0)
-    np.testing.assert_allclose(pair.session_priors[-1][1].covariance, pair.prior.covariance, rtol=1e-6)
-    assert [nats for nats, _ in pair.session_priors] == [each.log_probability for each in fit.session_priors]
+    for log_probability, count in ((-99.0, 4), (9.0, 5)):
+        given = replace(fit, session_priors=(*narrower, at_stated, wider._replace(log_probability=log_probability)))
+        pair = pair_of(given, recording, fit.observe(recording), 0, 0)
+        assert len(pair.session_priors) == count
+        assert sum(np.exp(nats) for nats, _ in pair.session_priors) == pytest.approx(1.0)
+        np.testing.assert_allclose(pair.session_priors[3][1].covariance, pair.prior.covariance, rtol=1e-6)
