@@ -16,8 +16,9 @@ from physics.effects.hypotheses import Variant
 class Findings:
     """Verdict of a diagnosis with its figures; `as_json` returns exactly the published keys.
 
-    `rivals`: ambiguity set.  `alternatives`: its effects that are not chosen, each fitted alone.  `relations`: figures
-    by output.  `seconds`: run time, which the caller measures.
+    `rivals`: ambiguity set.  `alternatives`: its effects that are not chosen, each fitted alone; without a set, those
+    that are likelier than none, likeliest first.  `relations`: figures by output.  `seconds`: run time, which the
+    caller measures.
     `reference`: kind of the reference condition: healthy (reference trials), calibration or nominal.  `part`: the part
     of the bench that changed.  `evidence`: Bayes factors, errors and shifts of constants; {} if the wire is at fault,
     None if the trials were refused.  `bench`: the bench as a model, from its reference trials or its calibration; None

@@ -37,6 +37,8 @@ EXPERIMENTS: Final = 2
 """Largest number of experiments that are run to decide between effects."""
 CHOICES: Final = 3
 """Largest number of effects of an ambiguous answer that are tried in the loop, one trial each."""
+LIKELY_NATS: Final = 3.0
+"""Log Bayes factor from which an effect that the diagnosis does not name is tried in the loop: odds of 20."""
 MOST_SIZE: Final = 2.0
 """Largest factor, up or down, by which trials in the loop change the size that the diagnosis estimated.
 
@@ -132,7 +134,7 @@ class _Run:
         outcome = MendedBench("", self.folder, found.verdict, [cause["effect"] for cause in found.causes],
                               [term.equation for term in found.terms])
         if not outcome.names and not outcome.equations:
-            return replace(outcome, ending="nothing to mend: no cause is named and no law was found")
+            return self._unnamed(found, outcome)
         sensed = [name for name in found.rivals if CATALOGUE[name].site == "END sensor"]
         if found.verdict == "ambiguous" and sensed:
             return replace(outcome, ending="not tried: END itself may read wrongly "
@@ -145,6 +147,23 @@ class _Run:
             outcome = replace(outcome, names=[cause["effect"] for cause in chosen.causes],
                               equations=[term.equation for term in chosen.terms])
             return self._proven(chosen, outcome)
+        except EndedNightError as ended:
+            return replace(outcome, ending=str(ended))
+
+    def _unnamed(self, found: DiagnosisResult, outcome: MendedBench) -> MendedBench:
+        """Return the outcome where no cause is named: effects that are likely are tried, and the loop decides.
+
+        Nothing is tried if END's sensor may be the cause.
+        """
+        nats = found.found.evidence["log_bayes_factors"] if found.found.evidence else {}
+        likely = [each for each in found.alternatives if nats[each.causes[0]["effect"]] >= LIKELY_NATS]
+        choices = [each for each in likely if _compensable(each.model)]
+        if not choices or any(CATALOGUE[each.causes[0]["effect"]].site == "END sensor" for each in likely):
+            return replace(outcome, ending="nothing to mend: no cause is named and no law was found")
+        try:
+            chosen = self._chosen(choices[:CHOICES])
+            proven = self._proven(chosen, outcome)
+            return replace(proven, ending=f"{proven.ending}: {words(chosen.causes[0]['effect'])}, likely and not named")
         except EndedNightError as ended:
             return replace(outcome, ending=str(ended))
 

@@ -120,7 +120,8 @@ class DiagnosisResult:
 
     @property
     def alternatives(self) -> list[DiagnosisResult]:
-        """Each other effect of the ambiguity set, fitted alone, as if it were the cause."""
+        """Each other effect of the ambiguity set, or each that is likelier than none where none is named, fitted alone,
+        as if it were the cause."""
         return [DiagnosisResult(dataclasses.replace(self.found, causes=[cause], laws=None), self._trials,
                                 self._holdout, self._model) for cause in self.found.alternatives]
 

@@ -156,7 +156,8 @@ class EvidenceFinder:
                         "signals": figures.judged, "on": "cycles that no fit has seen"},
             part=decided.part, evidence=evidence, unexplained=_unexplained(decided, relations),
             variants=tuple(decision.chosen_variants(found, decided.chosen)),
-            alternatives=[self._cause(name, found.single[name], bench, 0.0) for name in decided.among
+            alternatives=[self._cause(name, found.single[name], bench, 0.0)
+                          for name in decided.among or [n for n, nats in decided.gains.items() if nats > 0.0]
                           if name not in decided.chosen and name in found.single],
             traces=figures.traces(trials), held_traces=kept.traces(holdout) if kept is not None else {})
 

@@ -14,6 +14,7 @@ from bowden.models.diagnosing import DiagnosisResult
 from diagnosis.findings import Findings
 from diagnosis.laws.law_result import Laws
 from parameters import InputError
+from physics import bench_model
 from physics.terms import Term
 
 SETTINGS = {"reference": ["good.mcap"], "hours": 1.0}
@@ -91,3 +92,17 @@ def test_a_bench_is_repaired_and_a_killed_run_goes_on(tmp_path: Path) -> None:
     (night / "journal.jsonl").write_bytes(b"".join(lines[:-1]) + lines[-1][:10])
     again = bowden.mend([good], night, bus=worn, cycles=6, resume=True)
     assert (again.kept, again.before, again.after) == (True, found.before, found.after)
+
+
+@pytest.mark.exhaustive
+def test_an_effect_that_is_likely_and_not_named_is_decided_by_the_loop(tmp_path: Path) -> None:
+    good = tmp_path / "good.mcap"
+    bowden.run(bowden.Experiment(cycles=6, period_s=1.3), bus=bowden.simulated(serial=3), output=good)
+    worn = bowden.simulated(serial=3, plant_model={"effects": {"cable_friction": {"mu1": 0.105}}})
+    found = bowden.mend([good], tmp_path / "night", bus=worn, cycles=6)
+    assert (found.verdict, list(found.names)) == ("none", [])
+    assert found.kept, found
+    assert "likely and not named" in found.ending
+    assert "Named" not in (tmp_path / "night" / "mend.html").read_text("utf-8")
+    extension = bench_model.read(tmp_path / "night" / "extended.toml")
+    assert set(extension.effects) <= {"cable_friction", "cable_bend"}
