@@ -205,8 +205,8 @@ class _Fit:
                         session_priors=there._session_priors(bench), joint_minimum=None)
         nats -= copy.copy(self)._posterior()[1]
         # ln p(y) of the reference trials over all scatters is that of the stated one less its log probability
-        nats += sum(here.log_probability - other.log_probability for here, other in zip(
-            fit.session_priors, found.session_priors, strict=True) if here.log_factor == 0.0)
+        sides = zip(fit.session_priors, found.session_priors, strict=True) if len(self.trials) > 1 else ()
+        nats += sum(here.log_probability - other.log_probability for here, other in sides if here.log_factor == 0.0)
         return JointMinimum(found, nats, best[1][-1])
 
     def _posterior(self) -> tuple[Gaussian, float]:
@@ -310,11 +310,11 @@ class _Fit:
     def _session_priors(self, stated: Gaussian) -> tuple[SessionPrior, ...]:
         """Return the prior of a further trial for each scatter of the `structural` constants.
 
-        `stated`: posterior of the bench with the stated one.  Two reference trials do not decide κ, so that evidence is
-        averaged over it.
+        `stated`: posterior of the bench with the stated one.  Two reference trials do not decide κ, and one says
+        nothing of it, so that evidence is averaged over it.
         """
         at = [self.constants.index[name] for name in self.model.structural]
-        if len(self.trials) < 2 or not at:
+        if not at:
             return ()
         sd, middle, logs = self.session_sd.copy(), self._joint(range(len(self.trials)))[0].mean, np.arange(-3.0, 2.0)
         found = [(float(log), nats, self._further(replace(bench, mean=stated.mean + bench.mean - middle)),

@@ -181,7 +181,9 @@ class ReferenceFit:
 
     def session_priors_of(self, observed: SessionData) -> list[tuple[float, Gaussian]]:
         """Return log probability and prior of each scatter up to the stated one for the session `observed`, as
-        `prior_of`; a larger one counts as overdispersion."""
+        `prior_of`; a larger one counts as overdispersion, and one reference trial shows none."""
+        if len(self.identified) < 2:
+            return []
         growth = self._unseen(observed)
         return [(nats, replace(prior, covariance=prior.covariance + np.diag(growth * session)))
                 for log_factor, nats, prior, session in self.session_priors if log_factor <= 0.0]

@@ -5,8 +5,8 @@
 The model error under one motion repeats under it, so that e_r removes it.  δ = s − s_r and d are differences of two
 sessions.  What all reference trials say of s_r, the departure of session r from the bench, counts; but what absorbs
 model error (gains of `ForwardModel.surrogate_sd`, feature weights) departs by what repeats: its 1σ is √2 times that of
-one session.  A pair has no overdispersion: where reference trials support a larger scatter of structural constants than
-the stated one, evidence is averaged over that one, too.  ε: sensor noise of both trials, and of the model error the
+one session.  A pair has no overdispersion: evidence is averaged over a larger scatter of structural constants than the
+stated one, too, unless reference trials exclude it.  ε: sensor noise of both trials, and of the model error the
 share that changes between sessions (`ForwardModel.session_share`).
 """
 
@@ -67,14 +67,19 @@ def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: S
                   repeats_motion=True), pair
 
 
-def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int) -> Pair:
-    """Return the pair of a trial and reference trial `number`, the recording `other`, `lag` samples behind it."""
+def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int, odds: float = 20.0
+            ) -> Pair:
+    """Return the pair of a trial and reference trial `number`, the recording `other`, `lag` samples behind it.
+
+    `odds`: of the stated scatter over a larger one from which reference trials exclude that.
+    """
     known = fit.observe(other)
     design = np.hstack([known.jacobian(fit.identified[number][0], list(fit.model.constants.free))[1], known.features])
     information = (design.T * known.weight) @ design
     stated = SessionPrior(0.0, 0.0, fit.prior, np.diag(fit.prior.covariance - fit.bench.covariance))
-    likeliest = max(fit.session_priors, key=lambda each: each.log_probability, default=stated)
-    scatters = [each for each in fit.session_priors if each.log_factor <= max(0.0, likeliest.log_factor)]
+    stated_nats = max((each.log_probability for each in fit.session_priors if each.log_factor == 0.0), default=0.0)
+    scatters = [each for each in fit.session_priors
+                if each.log_factor <= 0.0 or each.log_probability > stated_nats - np.log(odds)]
     whole = float(np.logaddexp.reduce([each.log_probability for each in scatters]))
     return Pair(_difference(fit, known, observed, number, lag), _prior(fit, number, information, stated), [
         (each.log_probability - whole, _prior(fit, number, information, each)) for each in scatters], number)
