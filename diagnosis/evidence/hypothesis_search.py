@@ -30,8 +30,7 @@ class TrialModes:
     `prior`: prior of the session at the minimum of the best effect.  `variants`: the variant that each effect of
     `single` was fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since
     their best value is outside their bounds.  `session_priors`: log probability and prior of each scatter between
-    sessions over which evidence is averaged (none: that of `prior` alone).  `repeats_motion`: the trial is a
-    difference to a reference trial of its motion.
+    sessions over which evidence is averaged (none: that of `prior` alone).
     """
 
     observed: SessionData
@@ -44,7 +43,6 @@ class TrialModes:
     paired: dict[str, Variant] = field(default_factory=dict)
     refused: set[str] = field(default_factory=set)
     session_priors: Sequence[tuple[float, Gaussian]] = ()
-    repeats_motion: bool = False
 
     def gains(self) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each candidate against the null, best first."""
@@ -65,10 +63,10 @@ class TrialModes:
         """Return the variance of the session about the reference condition over the expected one, at least 1.
 
         Constants that depart by more than their scatter even in the best of `modes` depart by a model error. A log
-        likelihood is taken for one of so many times the variance (quasi-likelihood, Wedderburn 1974).  A trial that
-        repeats a motion has the model error of its reference trial, and pooled sessions have no scatter.
+        likelihood is taken for one of so many times the variance (quasi-likelihood, Wedderburn 1974).  Pooled sessions
+        have no scatter.
         """
-        if self.repeats_motion or self.observed.model.pools_sessions:
+        if self.observed.model.pools_sessions:
             return 1.0
         return max(1.0, max(modes, key=lambda at: at.log_evidence).strain**2)
 
@@ -81,13 +79,13 @@ def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[st
 
 
 def search(observed: SessionData, prior: Gaussian, reference: ReferenceFit,
-           session_priors: Sequence[tuple[float, Gaussian]] = (), *, repeats_motion: bool = False) -> TrialModes:
+           session_priors: Sequence[tuple[float, Gaussian]] = ()) -> TrialModes:
     """Fit the null and the effects that the screen ranks first, and restart the fits from each other's modes.
 
     The null starts at the prior's mean and at the modes of the trials of the `reference` condition.
     """
     null = max((mode(observed, prior, start=at) for at in (None, *reference.starts())), key=lambda m: m.log_evidence)
-    found = TrialModes(observed, prior, reference, null, session_priors=session_priors, repeats_motion=repeats_motion)
+    found = TrialModes(observed, prior, reference, null, session_priors=session_priors)
     found.null = _averaged(found, null)
     offered = hypotheses(observed, observed.model.constants.named(prior.origin))
     # at the reference constants no constant has taken up an effect

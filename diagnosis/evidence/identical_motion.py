@@ -5,8 +5,8 @@
 The model error under one motion repeats under it, so that e_r removes it.  δ = s − s_r and d are differences of two
 sessions.  What all reference trials say of s_r, the departure of session r from the bench, counts; but what absorbs
 model error (gains of `ForwardModel.surrogate_sd`, feature weights) departs by what repeats: its 1σ is √2 times that of
-one session.  A pair has no overdispersion: evidence is averaged over a larger scatter of structural constants than the
-stated one, too, unless reference trials exclude it.  ε: sensor noise of both trials, and of the model error the
+one session.  Evidence is averaged over a larger scatter of structural constants than the stated one, too, unless
+reference trials exclude it.  ε: sensor noise of both trials, and of the model error the
 share that changes between sessions (`ForwardModel.session_share`).
 """
 
@@ -63,8 +63,7 @@ def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: S
     if pair is None:
         return search(observed, fit.prior_of(observed), fit, fit.session_priors_of(observed)), None
     # the pair's prior is about one reference trial's mode, which no other minimum of all of them changes
-    return search(pair.observed, pair.prior, replace(fit, joint_minimum=None), pair.session_priors,
-                  repeats_motion=True), pair
+    return search(pair.observed, pair.prior, replace(fit, joint_minimum=None), pair.session_priors), pair
 
 
 def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int, odds: float = 20.0
