@@ -41,9 +41,8 @@ class ShortHelpCommand(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments; trials that a shell lists behind an option are the option's, if others come first."""
         parameters, made, option = self.get_params(ctx), list(args[:1]), ""
-        several = {name for one in parameters if str(one.metavar).endswith("...") for name in one.opts}
-        if made and made[0].startswith("-") and any(map(_is_argument, parameters)):
-            return super().parse_args(ctx, args)
+        begins = not any(map(_is_argument, parameters)) or not args or not args[0].startswith("-")
+        several = {name for one in parameters if begins and str(one.metavar).endswith("...") for name in one.opts}
         for last, word in pairwise(args):
             option = last if last in several else "" if word.startswith("-") else option
             made += [option, word] if option and last != option else [word]

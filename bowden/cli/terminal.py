@@ -64,7 +64,7 @@ def answered(command: Callable[[], CommandAnswer | int], *, json: bool) -> int:
 def show(answer: CommandAnswer) -> int:
     """Print an answer as JSON or in words, and return its exit status."""
     if quiet():
-        emit(answer.result)
+        print(json_text(answer.result))
     else:
         for part in [answer.words] if isinstance(answer.words, str) else answer.words:
             _print(part)
@@ -74,11 +74,6 @@ def show(answer: CommandAnswer) -> int:
 def quiet() -> bool:
     """Return whether the command prints JSON and nothing else."""
     return _QUIET.get()
-
-
-def emit(result: Mapping[str, Any]) -> None:
-    """Write one JSON object on stdout, keys as given; an undefined number (NaN, infinite) is null."""
-    print(json_text(result))
 
 
 def _print(part: str | AnswerTable | Paragraph) -> None:
