@@ -310,8 +310,8 @@ class _Fit:
     def _session_priors(self, stated: Gaussian) -> tuple[SessionPrior, ...]:
         """Return the prior of a further trial for each scatter of the `structural` constants.
 
-        `stated`: posterior of the bench with the stated one.  Two reference trials do not decide κ, and one says
-        nothing of it, so that evidence is averaged over it.
+        `stated`: posterior of the bench with the stated one.  Two reference trials do not decide κ, and one
+        does not bear on it, so that evidence is averaged over it.
         """
         at = [self.constants.index[name] for name in self.model.structural]
         if not at:

@@ -184,23 +184,6 @@ def _fresh(path: Path) -> Path:
     return Path(name)
 
 
-__all__ = [
-    "LONGEST_LINE",
-    "READ_LIMIT",
-    "UNPACKED_FLOOR",
-    "UNPACKED_RATIO",
-    "BoundedFile",
-    "content",
-    "most_unpacked",
-    "refuse_large",
-    "refuse_long_lines",
-    "refuse_special",
-    "replaced",
-    "unpacked_limit",
-    "write_whole",
-]
-
-
 def json_text(content: Mapping[str, Any], otherwise: Callable[[Any], Any] | None = None) -> str:
     """Return a JSON object, keys as given; an undefined number (NaN, infinite) is null.
 
@@ -215,3 +198,21 @@ def _defined(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(k): _defined(v) for k, v in value.items()}
     return [_defined(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+__all__ = [
+    "LONGEST_LINE",
+    "READ_LIMIT",
+    "UNPACKED_FLOOR",
+    "UNPACKED_RATIO",
+    "BoundedFile",
+    "content",
+    "json_text",
+    "most_unpacked",
+    "refuse_large",
+    "refuse_long_lines",
+    "refuse_special",
+    "replaced",
+    "unpacked_limit",
+    "write_whole",
+]

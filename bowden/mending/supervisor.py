@@ -36,7 +36,7 @@ PAIRS: Final = 4
 EXPERIMENTS: Final = 2
 """Largest number of experiments that are run to decide between effects."""
 CHOICES: Final = 3
-"""Largest number of effects of an ambiguous answer that are tried in the loop, one trial each."""
+"""Largest number of effects of an ambiguous answer, or not named, that are tried in the loop, one trial each."""
 LIKELY_NATS: Final = 3.0
 """Log Bayes factor from which an effect that the diagnosis does not name is tried in the loop: odds of 20."""
 MOST_SIZE: Final = 2.0
@@ -142,13 +142,7 @@ class _Run:
         choices = [each for each in (found, *found.alternatives) if _compensable(each.model)]
         if not choices:
             return replace(outcome, ending="not tried: a controller cannot compensate it by START, rope and knee")
-        try:
-            chosen = self._chosen(choices[:CHOICES])
-            outcome = replace(outcome, names=[cause["effect"] for cause in chosen.causes],
-                              equations=[term.equation for term in chosen.terms])
-            return self._proven(chosen, outcome)
-        except EndedNightError as ended:
-            return replace(outcome, ending=str(ended))
+        return self._tried(choices, outcome)
 
     def _unnamed(self, found: DiagnosisResult, outcome: MendedBench) -> MendedBench:
         """Return the outcome where no cause is named: effects that are likely are tried, and the loop decides.
@@ -160,10 +154,17 @@ class _Run:
         choices = [each for each in likely if _compensable(each.model)]
         if not choices or any(CATALOGUE[each.causes[0]["effect"]].site == "END sensor" for each in likely):
             return replace(outcome, ending="nothing to mend: no cause is named and no law was found")
+        tried = self._tried(choices, outcome)
+        of = "".join(f": {words(name)}, likely and not named" for name in tried.names)
+        return replace(tried, names=[], ending=tried.ending + of)
+
+    def _tried(self, choices: Sequence[DiagnosisResult], outcome: MendedBench) -> MendedBench:
+        """Return the outcome of the extension that is best in the loop, with its names and equations, and its proof."""
         try:
             chosen = self._chosen(choices[:CHOICES])
-            proven = self._proven(chosen, outcome)
-            return replace(proven, ending=f"{proven.ending}: {words(chosen.causes[0]['effect'])}, likely and not named")
+            outcome = replace(outcome, names=[cause["effect"] for cause in chosen.causes],
+                              equations=[term.equation for term in chosen.terms])
+            return self._proven(chosen, outcome)
         except EndedNightError as ended:
             return replace(outcome, ending=str(ended))
 
@@ -177,7 +178,7 @@ class _Run:
         return self.bench.completed(self.journal, step, replace(self.bench.gait, controller="extended"))
 
     def _chosen(self, choices: Sequence[DiagnosisResult]) -> DiagnosisResult:
-        """Return the diagnosis whose extension leaves the least error of END in the loop, at its best size there.
+        """Return the diagnosis with whose extension END's error in the loop is least, at its best size there.
 
         One trial with each extension: the error is taken to be linear in the size.  The proof is of other trials.
         """

@@ -3,11 +3,11 @@
     y − e_r = f(q_r + δ; m) + Φ(c_r + d) + ε        e_r: residual of the reference trial at its own mode (q_r, c_r)
 
 The model error under one motion repeats under it, so that e_r removes it.  δ = s − s_r and d are differences of two
-sessions.  What all reference trials say of s_r, the departure of session r from the bench, counts; but what absorbs
-model error (gains of `ForwardModel.surrogate_sd`, feature weights) departs by what repeats: its 1σ is √2 times that of
-one session.  Evidence is averaged over a larger scatter of structural constants than the stated one, too, unless
-reference trials exclude it.  ε: sensor noise of both trials, and of the model error the
-share that changes between sessions (`ForwardModel.session_share`).
+sessions.  s_r, the departure of session r from the bench, is known as far as all reference trials determine it.  What
+absorbs model error (gains of `ForwardModel.surrogate_sd`, feature weights) repeats, too: its 1σ is √2 times that of one
+session.  Evidence is averaged over a larger scatter of structural constants than the stated one, too, unless reference
+trials exclude it.  ε: sensor noise of both trials, and of the model error the share that changes between sessions
+(`ForwardModel.session_share`).
 """
 
 import copy

@@ -68,7 +68,7 @@ def test_another_prior_has_the_evidence_of_the_datas_own_covariance(alone: tuple
 def test_one_reference_trial_shows_no_scatter(alone: tuple[ReferenceFit, SessionData]) -> None:
     fit, observed = alone
     assert fit.session_priors_of(observed) == []
-    # ln κ ~ N(0, 1), which one session hardly changes
+    # ln κ ~ N(0, 1), which one session changes by less than a third of the odds that exclude a scatter, ln 20 = 3
     stated, wider = (each.log_probability for each in fit.session_priors[-2:])
     assert wider - stated == pytest.approx(-0.5, abs=1.0)
 
@@ -87,7 +87,7 @@ def test_two_reference_trials_weigh_the_scatter_of_structural_constants() -> Non
     scaled = [n in fit.model.structural for n in names]
     narrow, stated = (np.sqrt(each.session[:len(names)]) for each in (fit.session_priors[0], at_stated))
     np.testing.assert_allclose(narrow / stated, np.where(scaled, np.exp(-3.0), 1.0))
-    # a pair of identical motion has no overdispersion, but a larger scatter unless the reference trials exclude it
+    # a pair of identical motion has a larger scatter, too, unless the reference trials exclude it
     recording = PATH_MODEL.record(made.healthy[0])
     for log_probability, count in ((-99.0, 4), (9.0, 5)):
         given = replace(fit, session_priors=(*narrower, at_stated, wider._replace(log_probability=log_probability)))
