@@ -10,15 +10,15 @@ all sessions together.  Each session then has a score of the effect, of unit var
 
     S = T − T_H K T_Hᵀ,  g = t − T_H K HᵀWe,  u_s = (g − S b̂)_a / √(1 + S_aa)
 
-It does not hold on a bench of another structure: its scatter is not the published one, and a session may be linearised
-at another minimum.  So the scores of an effect are a series whose own scatter σ is unknown (regression with a conjugate
-prior, Raftery, Madigan and Hoeting 1997):
+It does not hold on a bench of another structure: its scatter is not the published one.  So the scores of an effect are
+a series whose own scatter σ is unknown (regression with a conjugate prior, Raftery, Madigan and Hoeting 1997):
 
-    u_s = q_s (m + w_s d) + n_s + ε_s,  q_s = S_aa / √(1 + S_aa)
-    ε_s ~ N(0, σ²),  ν₀/σ² ~ χ²(ν₀),  m, d, n ~ N(0, σ² V)
+    u_s = q_s (m + w_s d) + v_s + n_s + ε_s,  q_s = S_aa / √(1 + S_aa)
+    ε_s ~ N(0, σ²),  ν₀/σ² ~ χ²(ν₀),  m, d, v, n ~ N(0, σ² V)
 
-w_s: 0 before the change; from its first session on 1 (step), or rising to 1 at the newest session (ramp).  n_s: what a
-maintenance changes.  The order in which sessions were entered has no influence.
+w_s: 0 before the change; from its first session on 1 (step), or rising to 1 at the newest session (ramp).  v_s: what
+the model misses in the motion of a session, one for all sessions of a motion.  n_s: what a maintenance changes.  The
+order in which sessions were entered has no influence.
 """
 
 from collections.abc import Sequence
@@ -101,6 +101,7 @@ class SessionSequence:
         self.offset[:self.free] = np.sqrt(self.published / self.population)
         self.known = self.size + self._maintained(0).shape[1]
         self.growth = [self._growth(one.growth) for one in sessions]
+        self.motion = np.array([one.motion for one in sessions])
         self.sums = [self._reduced(one, row) for row, one in enumerate(sessions)]
         loose = [self.known + k for part in columns if not self._followed(part)
                  for k in range(part.at.start, part.at.stop)]
@@ -141,7 +142,8 @@ class SessionSequence:
     def until(self, row: int) -> "SessionSequence":
         """Return the sequence of the sessions before `row`."""
         earlier = copy(self)
-        earlier.sums, earlier.growth, earlier.count = self.sums[:row], self.growth[:row], row
+        earlier.sums, earlier.growth, earlier.motion, earlier.count = (
+            self.sums[:row], self.growth[:row], self.motion[:row], row)
         return earlier
 
     # -- scatter between sessions ------------------------------------------------------------------------------------
@@ -225,9 +227,10 @@ class SessionSequence:
         """Return the evidence of each course and begin in one series; `carried`: q, score of a size of 1σ."""
         weights = self.weights().reshape(-1, self.count)
         after = [(np.arange(self.count) >= before).astype(float) for before in self._maintenance()]
-        known = np.column_stack([carried, *after])
-        # in the scatter of the scores: any level, a maintenance of the size of two sessions, a change of up to 18
-        variances = np.array([20.0] + [2.0] * len(after) + [6.0]) ** 2
+        motions = [(self.motion == each).astype(float) for each in np.unique(self.motion)]
+        # in the scatter of the scores: any level, a motion or maintenance of the size of two sessions, a change of 6
+        known = np.column_stack([carried, *(motions if len(motions) > 1 else ()), *after])
+        variances = np.array([20.0] + [2.0] * (known.shape[1] - 1) + [6.0]) ** 2
         none, _, _ = _regression(known[None], variances[:-1], scores)
         nats, mean, sd = _regression(np.concatenate([np.broadcast_to(known, (len(weights), *known.shape)),
                                                      (weights * carried)[:, :, None]], axis=2), variances, scores)
@@ -291,7 +294,7 @@ class _Series(NamedTuple):
     sd: Array
 
 
-def _regression(design: Array, variances: Array, values: Array, sessions: float = 10.0
+def _regression(design: Array, variances: Array, values: Array, sessions: float = 16.0
                 ) -> tuple[Array, Array, Array]:
     """Return log evidence, and mean and 1σ of the last coefficient, of designs of shape (designs, rows, columns).
 

@@ -66,12 +66,21 @@ CREATE TABLE estimate (
     trial INTEGER PRIMARY KEY REFERENCES trial(id), reference INTEGER REFERENCES reference(id), remark TEXT NOT NULL,
     square BLOB, pull BLOB, growth BLOB, rmse_n REAL);
 """, ";".join(renamed_in_sql(*place) for place in (("reference", "constants"), ("note", "resets"))),
-    "DELETE FROM estimate", "DELETE FROM cause; DELETE FROM estimate; DELETE FROM reference", "DELETE FROM estimate")
+    "DELETE FROM estimate", "DELETE FROM cause; DELETE FROM estimate; DELETE FROM reference", "DELETE FROM estimate",
+    """
+DELETE FROM reference;
+ALTER TABLE reference RENAME COLUMN bench TO motions;
+DROP TABLE estimate;
+CREATE TABLE estimate (
+    trial INTEGER PRIMARY KEY REFERENCES trial(id), reference INTEGER REFERENCES reference(id), remark TEXT NOT NULL,
+    square BLOB, pull BLOB, growth BLOB, motion INTEGER);
+""")
 """SQL of each version of the schema, applied to the one before it; `PRAGMA user_version` counts them.
 
 The fourth and those from the sixth on drop estimates of single trials, which a later `add` makes anew from the files:
 the sixth since effects have secants, too, the seventh, with the references, since friction is distributed (decision
-50), the eighth since effects free more constants (decision 52).  The fifth renames constants."""
+50), the eighth since effects free more constants (decision 52), the ninth since a trial is linearised by its motion
+(decision 57).  The fifth renames constants."""
 
 
 class TrialEntry(NamedTuple):
@@ -131,11 +140,15 @@ class Note(NamedTuple):
 
 
 class ReferenceModel(NamedTuple):
-    """A reference model: names of its constants, the trials it was fitted to, its encoded content."""
+    """A reference model: names of its constants, the trials it was fitted to, their motion, its encoded content.
+
+    `motions`: `estimation.linear_sums.motion_spread` of each of the trials, shape (trials, 4).
+    """
 
     id: int
     constants: tuple[str, ...]
     trials: tuple[int, ...]
+    motions: Array
     model: bytes
 
 
@@ -215,14 +228,15 @@ class Logbook:
                  json_text(new.figures, str), new.software))
             return int(entered.lastrowid or 0), True
 
-    def enter_reference(self, constants: Sequence[str], trials: Sequence[int], model: bytes, after: int | None) -> bool:
+    def enter_reference(self, constants: Sequence[str], trials: Sequence[int], motions: Array, model: bytes,
+                        after: int | None) -> bool:
         """Enter a reference model unless another one than `after` is the newest; return whether it was entered."""
         with self._writing() as db:
             newest = db.execute("SELECT max(id) FROM reference").fetchone()[0]
             if newest != after:
                 return False
-            db.execute("INSERT INTO reference(made, constants, trials, bench, model) VALUES (?, ?, ?, ?, ?)", (
-                now(), json.dumps(list(constants)), json.dumps(list(trials)), b"", model))
+            db.execute("INSERT INTO reference(made, constants, trials, motions, model) VALUES (?, ?, ?, ?, ?)", (
+                now(), json.dumps(list(constants)), json.dumps(list(trials)), _packed(motions), model))
             return True
 
     def enter_sums(self, trial: int, reference: int, found: SessionSums) -> bool:
@@ -232,7 +246,7 @@ class Logbook:
                 return False
             upper = found.sums.square[np.triu_indices(found.sums.pull.size)]
             db.execute("INSERT OR REPLACE INTO estimate VALUES (?, ?, '', ?, ?, ?, ?)", (
-                trial, reference, *map(_packed, (upper, found.sums.pull, found.growth)), found.rmse_n))
+                trial, reference, *map(_packed, (upper, found.sums.pull, found.growth)), found.motion))
             return True
 
     def enter_remark(self, trial: int, remark: str) -> None:
@@ -333,16 +347,19 @@ class Logbook:
 
     def reference(self) -> ReferenceModel | None:
         """Return the newest reference model."""
-        rows = self._rows("SELECT id, constants, trials, model FROM reference ORDER BY id DESC LIMIT 1")
-        return None if not rows else ReferenceModel(rows[0][0], tuple(json.loads(rows[0][1])), tuple(json.loads(
-            rows[0][2])), rows[0][3])
+        rows = self._rows("SELECT id, constants, trials, motions, model FROM reference ORDER BY id DESC LIMIT 1")
+        if not rows:
+            return None
+        number, constants, trials, motions, model = rows[0]
+        return ReferenceModel(number, tuple(json.loads(constants)), tuple(json.loads(trials)),
+                              np.frombuffer(motions, "<f8").reshape(-1, 4), model)
 
     def sums(self, reference: int, sessions: Sequence[int]) -> dict[int, SessionSums]:
         """Return the sums of each of `sessions` that has a trial fitted under one reference model, by session."""
         found: dict[int, SessionSums] = {}
         for session in sessions:
             rows = self._rows(
-                "SELECT e.square, e.pull, e.growth, e.rmse_n FROM estimate e JOIN trial t ON t.id = e.trial WHERE "
+                "SELECT e.square, e.pull, e.growth, e.motion FROM estimate e JOIN trial t ON t.id = e.trial WHERE "
                 "e.reference = ? AND t.session = ? ORDER BY t.digest", (reference, session))
             for one in (_sums(*row) for row in rows):
                 found[session] = found[session].joined(one) if session in found else one
@@ -465,12 +482,12 @@ def _packed(values: Array) -> bytes:
     return np.ascontiguousarray(values, dtype="<f8").tobytes()
 
 
-def _sums(square: bytes, pull: bytes, growth: bytes, rmse_n: float) -> SessionSums:
+def _sums(square: bytes, pull: bytes, growth: bytes, motion: int) -> SessionSums:
     own = np.frombuffer(pull, "<f8").copy()
     whole = np.zeros((own.size, own.size))
     whole[np.triu_indices(own.size)] = np.frombuffer(square, "<f8")
     whole += np.triu(whole, 1).T
-    return SessionSums(Sums(whole, own), np.frombuffer(growth, "<f8").copy(), rmse_n)
+    return SessionSums(Sums(whole, own), np.frombuffer(growth, "<f8").copy(), motion)
 
 
 def _natural(text: str) -> tuple[tuple[bool, float, str], ...]:

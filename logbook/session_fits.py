@@ -3,11 +3,12 @@
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from estimation.joint_fit import fit_reference
 from estimation.likelihood_data import Recording
-from estimation.linear_sums import effect_columns, session_sums
+from estimation.linear_sums import effect_columns, motion_spread, session_sums
 from estimation.path_model import PATH_MODEL, usable_table
 from estimation.posterior import CLOSE
 from estimation.stored_fit import decoded, encoded
@@ -66,7 +67,8 @@ def _make_reference(book: Logbook, wanted: tuple[int, ...], after: int | None) -
             _remark(book, number, error)
             return
     made = fit_reference(PATH_MODEL, recordings, close=0.1 * CLOSE)
-    book.enter_reference(CONSTANTS, wanted, encoded(made), after)
+    motions = np.array([motion_spread(each) for each in recordings])
+    book.enter_reference(CONSTANTS, wanted, motions, encoded(made), after)
 
 
 def _fit(book: Logbook, kept: ReferenceModel, waiting: list[int]) -> None:
@@ -82,7 +84,7 @@ def _fit(book: Logbook, kept: ReferenceModel, waiting: list[int]) -> None:
         except InputError as error:
             _remark(book, number, error)
             continue
-        if not book.enter_sums(number, kept.id, session_sums(fit, columns, [recording])):
+        if not book.enter_sums(number, kept.id, session_sums(fit, columns, recording, kept.motions)):
             return
 
 

@@ -136,11 +136,12 @@ def against_history(folder: Path, path: Path) -> dict[str, Any]:
     """
     with open_logbook(folder) as book, threadpool_limits(1, user_api="blas"):
         described = _described(path, None, book.path)
-        followed = sequence_of(book, without=book.session_of(described.digest))
-        if followed is None or followed[1].count < 2:
+        kept, followed = book.reference(), sequence_of(book, without=book.session_of(described.digest))
+        if kept is None or followed is None or followed[1].count < 2:
             raise InputError(f"{folder}: has fewer than two other fitted sessions; bowden logbook add enters trials.")
         sequence = followed[1]
-        own = session_sums(sequence.fit, sequence.columns, [recording_of(path, described.outcome, book.path)])
+        own = session_sums(sequence.fit, sequence.columns, recording_of(path, described.outcome, book.path),
+                           kept.motions)
         departure, scatters, probability = sequence.departure(own, sequence.scatter())
         return {"trial": str(path), "logbook": str(folder), "sessions": sequence.count, "probability": probability,
                 "constants": {name: {"departure": float(departure[k]), "scatters": float(scatters[k]),

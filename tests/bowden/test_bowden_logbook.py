@@ -283,7 +283,7 @@ def written(folder: Path, of: Accuracy, sessions: Iterator[SessionSums], notes: 
     """Write a logbook of these sessions; `notes`: parts that are new after a session."""
     database.create(folder, "drawn")
     with open_logbook(folder) as book:
-        assert book.enter_reference(CONSTANTS, [], of.model, None)
+        assert book.enter_reference(CONSTANTS, [], np.zeros((0, 4)), of.model, None)
         for k, found in enumerate(sessions):
             new = NewTrial(Path(f"{k}.mcap"), str(k), "gait", "completed", 10.0, {}, {}, "")
             number, _ = book.enter_trial(new, f"day {k}", float(k))
