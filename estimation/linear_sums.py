@@ -24,8 +24,6 @@ from physics.laws import Array
 DRIFT: Final = "friction_drift"
 DRIFTING: Final = ("cable", "fabric")
 """Constants that the constant `DRIFT` changes in proportion to the progress of a trial."""
-OTHER_MOTION: Final = -1
-"""Number of the motion of a session that repeats no reference trial's."""
 
 
 class EffectColumns(NamedTuple):
@@ -163,17 +161,17 @@ def _origin(model: ForwardModel, q: Array, variant: Variant, names: Sequence[str
 class SessionSums(NamedTuple):
     """Sums of the trials of one session, with the growth of its deviation's variance by its motion, shape (n,).
 
-    `motion`: number of the reference trial with the motion of the session's trials, `OTHER_MOTION` if there is none.
+    `motion`: number of the reference trial with the motion of the session's trials, None if there is none.
     """
 
     sums: Sums
     growth: Array
-    motion: int
+    motion: int | None
 
     def joined(self, other: SessionSums) -> SessionSums:
         """Return the sums over the trials of two parts of one session."""
         return SessionSums(self.sums + other.sums, np.maximum(self.growth, other.growth),
-                           self.motion if self.motion == other.motion else OTHER_MOTION)
+                           self.motion if self.motion == other.motion else None)
 
 
 def session_sums(fit: ReferenceFit, columns: Sequence[EffectColumns], trial: Recording, references: Array
@@ -186,12 +184,12 @@ def session_sums(fit: ReferenceFit, columns: Sequence[EffectColumns], trial: Rec
     """
     observed, motion = fit.observe(trial), _repeated(motion_spread(trial), references)
     prior = fit.prior_of(observed)
-    at = mode(observed, prior, descends=motion == OTHER_MOTION)
+    at = mode(observed, prior, descends=motion is None)
     made = slopes(fit.model, columns, at.q, trial)
     base = np.concatenate([made.base, observed.features], axis=1)
     residual = observed.data - made.data - observed.features @ at.x[at.constants:]
     growth = np.diag(prior.covariance - fit.bench.covariance) / np.diag(fit.prior.covariance - fit.bench.covariance)
-    weight = bounded(residual, observed.weight) if motion == OTHER_MOTION else observed.weight
+    weight = bounded(residual, observed.weight) if motion is None else observed.weight
     return SessionSums(summed(base, made.effects, residual + base @ (at.x - prior.mean), weight), growth, motion)
 
 
@@ -201,8 +199,8 @@ def motion_spread(trial: Recording) -> Array:
     return np.array([each.std() for each in (*moved, *(np.gradient(one, GRID_S) for one in moved))])
 
 
-def _repeated(spread: Array, references: Array, alike: float = 0.05) -> int:
-    """Return the number of the first reference trial with the motion of a trial; `OTHER_MOTION` if there is none.
+def _repeated(spread: Array, references: Array, alike: float = 0.05) -> int | None:
+    """Return the number of the first reference trial with the motion of a trial; None if there is none.
 
     `alike`: largest relative difference of their spreads.  A controller that leads END moves the rope by 1 % otherwise
     where a knee's backlash grew by 26 mrad; a cadence of 1.35 s in place of 1.2 s differs by 12 %.
@@ -210,7 +208,7 @@ def _repeated(spread: Array, references: Array, alike: float = 0.05) -> int:
     still = np.array([1e-4, 1e-4, 1e-3, 1e-3])  # a locked knee hardly moves
     away = np.max(np.abs(references - spread) / np.maximum(references, still), axis=1)
     found = np.flatnonzero(away <= alike)
-    return int(found[0]) if found.size else OTHER_MOTION
+    return int(found[0]) if found.size else None
 
 
 def summed(base: Array, effects: Array, error: Array, weight: Array) -> Sums:

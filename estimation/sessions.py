@@ -101,7 +101,7 @@ class SessionSequence:
         self.offset[:self.free] = np.sqrt(self.published / self.population)
         self.known = self.size + self._maintained(0).shape[1]
         self.growth = [self._growth(one.growth) for one in sessions]
-        self.motion = np.array([one.motion for one in sessions])
+        self.motion = np.array([-1 if one.motion is None else one.motion for one in sessions])
         self.sums = [self._reduced(one, row) for row, one in enumerate(sessions)]
         loose = [self.known + k for part in columns if not self._followed(part)
                  for k in range(part.at.start, part.at.stop)]

@@ -482,7 +482,7 @@ def _packed(values: Array) -> bytes:
     return np.ascontiguousarray(values, dtype="<f8").tobytes()
 
 
-def _sums(square: bytes, pull: bytes, growth: bytes, motion: int) -> SessionSums:
+def _sums(square: bytes, pull: bytes, growth: bytes, motion: int | None) -> SessionSums:
     own = np.frombuffer(pull, "<f8").copy()
     whole = np.zeros((own.size, own.size))
     whole[np.triu_indices(own.size)] = np.frombuffer(square, "<f8")
