@@ -155,21 +155,25 @@ class _Fit:
         self.alone.append(first_mode(self.model, trial, self.wide).q)
         return self.alone[-1]
 
-    def _restart(self, least: float = 3.0) -> None:
-        """Descend once more, from the last trial's own mode, and take the better minimum for all trials.
+    def _restart(self, least: float = 3.0, most: int = 3) -> None:
+        """Descend once more from the own modes of the `most` last trials, and take the best minimum for all trials.
 
-        `least`: gain, nats, from which the restart contradicts the first minimum; 3 are odds of 20 to 1.
+        At a minimum that is 12 nats worse, three of six repeats in the reference condition were named viscous friction.
+        `least`: gain, nats, from which a restart contradicts the first minimum; 3 are odds of 20 to 1.
         """
         self._descend()
-        here, cost = (self.bench, self.at), self._cost(self.bench, self.at)
-        self._begin(self._alone(self.trials[-1]))
-        self._descend()
-        self.contradicted = 0.5 * (cost - self._cost(self.bench, self.at))
-        if self.contradicted < least:
-            self.contradicted, (self.bench, self.at) = 0.0, here
-            return
-        self._noise()
-        self._amplitudes()
+        first, best = self._cost(self.bench, self.at), (self.bench, self.at)
+        for trial in self.trials[1:][-most:]:
+            self.bench, self.at = best
+            self._begin(self._alone(trial))
+            self._descend()
+            gain = 0.5 * (first - self._cost(self.bench, self.at))
+            if gain >= max(least, self.contradicted):
+                self.contradicted, best = gain, (self.bench, self.at)
+        self.bench, self.at = best
+        if self.contradicted:
+            self._noise()
+            self._amplitudes()
 
     def _begin(self, q: Array) -> None:
         """Set the constants of bench and trials to the coordinates `q`."""

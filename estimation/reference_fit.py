@@ -118,7 +118,7 @@ class ReferenceFit:
         """Return a sentence if a restart of the fit contradicted the first minimum; else ""."""
         if not self.contradicted:
             return ""
-        return (f"The reference fit has two minima: that of a restart from the last reference trial is better by "
+        return (f"The reference fit has two minima: that of a restart from another reference trial is better by "
                 f"{self.contradicted:.1f} nats and is used for all of them. Another reference trial, of another peak "
                 "or cadence, would separate them.")
 
