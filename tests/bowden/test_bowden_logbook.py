@@ -21,7 +21,7 @@ import pytest
 from bowden.cli.app import run
 from estimation.linear_sums import SessionSums, Sums
 from logbook import database
-from logbook.bench_state import CANNOT, CONSTANTS, SET_SHARE, UNCHANGED, Cause, constants_of, enter_cause
+from logbook.bench_state import CANNOT, CHANGED, CONSTANTS, SET_SHARE, UNCHANGED, Cause, constants_of, enter_cause
 from logbook.database import NewTrial, open_logbook
 from physics.forward.path_constants import FREE, SESSION_SD
 
@@ -322,6 +322,24 @@ def test_a_session_that_departs_alone_is_no_change(accuracy: Accuracy, here: Pat
     far = {"cable": 40.0 * float(PUBLISHED[CONSTANTS.index("cable")])}
     sessions = drawn(accuracy, 4, 14, lambda k: far if k == 11 else {})
     assert shown(bowden, written(here / "book", accuracy, sessions))["alarms"] == []
+
+
+@pytest.mark.parametrize(("motion", "verdict"), [(0, CHANGED), (1, UNCHANGED), (None, UNCHANGED)])
+def test_what_the_model_misses_in_another_motion_is_no_change(
+        accuracy: Accuracy, here: Path, bowden: Callable[..., Any], motion: int | None, verdict: str) -> None:
+    """Sessions from the ninth on depart alike: in the motion of those before they are a change, in another one not."""
+    away = {"cable": 6.0 * float(PUBLISHED[CONSTANTS.index("cable")])}
+    sessions = drawn(accuracy, 4, 16, lambda k: away if k >= 8 else {})
+    moved = (one if k < 8 else one._replace(motion=motion) for k, one in enumerate(sessions))
+    assert shown(bowden, written(here / "book", accuracy, moved))["verdict"] == verdict
+
+
+def test_a_session_keeps_the_motion_of_its_trials(bench: Path) -> None:
+    with open_logbook(bench / "book") as book:
+        kept = book.reference()
+        assert kept is not None
+        assert kept.motions.shape == (len(kept.trials), 4)
+        assert {one.motion for one in book.sums(kept.id, range(1, DAYS + 1)).values()} == {0}
 
 
 DRIFTS = {
