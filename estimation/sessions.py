@@ -80,14 +80,10 @@ class SessionSequence:
     """
 
     def __init__(self, fit: ReferenceFit, columns: Sequence[EffectColumns], sessions: Sequence[SessionSums],
-                 references: int, resets: Sequence[Reset] = (), scatter_sessions: float = 10.0) -> None:
-        """Store the sessions; `scatter_sessions`: weight of the published scatter in `scatter`, in sessions.
-
-        With as many sessions the measured scatter of a constant has half the weight.
-        """
+                 references: int, resets: Sequence[Reset] = ()) -> None:
         self.fit, self.columns, self.resets, self.references = fit, columns, tuple(resets), references
         table = fit.model.constants
-        self.free, self.count, self.scatter_sessions = len(table.free), len(sessions), scatter_sessions
+        self.free, self.count = len(table.free), len(sessions)
         deviation = np.diag(fit.prior.covariance - fit.bench.covariance)
         self.published = deviation[:self.free]
         self.population = table.bench_sd[list(table.free)] ** 2
@@ -175,10 +171,11 @@ class SessionSequence:
         covariance: Array = np.asarray(np.linalg.inv(precision), np.float64)
         return covariance, covariance @ sessions.pull[:, :self.known].sum(axis=0)
 
-    def scatter(self, rounds: int = 12) -> Array:
+    def scatter(self, rounds: int = 12, weight: float = 10.0) -> Array:
         """Return the variances of the free constants between sessions, in coordinates, by expectation maximisation.
 
-        Each has an inverse-gamma prior about the published one.  They change by less than 2 % after so many `rounds`.
+        Each has an inverse-gamma prior about the published one, which counts as `weight` sessions.  They change by less
+        than 2 % after so many `rounds`.
         """
         variance = self.published
         for _ in range(rounds):
@@ -191,8 +188,7 @@ class SessionSequence:
                 deviation = inner[:self.free] @ sums.pull[self.scattered] - carried @ mean
                 total += deviation**2 + np.diag(inner)[:self.free] + np.sum((carried @ covariance) * carried, axis=1)
             # M step
-            variance = (self.scatter_sessions * self.published + total * self.population) / (
-                self.scatter_sessions + self.count)
+            variance = (weight * self.published + total * self.population) / (weight + self.count)
         return np.asarray(variance)
 
     # -- changes -----------------------------------------------------------------------------------------------------
