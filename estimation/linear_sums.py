@@ -161,7 +161,7 @@ def _origin(model: ForwardModel, q: Array, variant: Variant, names: Sequence[str
 class SessionSums(NamedTuple):
     """Sums of the trials of one session, with the growth of its deviation's variance by its motion, shape (n,).
 
-    `motion`: number of the reference trial with the motion of the session's trials, None if there is none.
+    `motion`: number of the reference trial with the motion of the session's trials, None without one.
     """
 
     sums: Sums
@@ -178,9 +178,9 @@ def session_sums(fit: ReferenceFit, columns: Sequence[EffectColumns], trial: Rec
                  ) -> SessionSums:
     """Return the sums of a trial of a session.  `references`: `motion_spread` of each reference trial.
 
-    What the model misses repeats with the motion.  So a trial with the motion of a reference trial is linearised where
-    that is, at the reference posterior's mean: its scores have the same slopes and miss the same.  One of another
-    motion is linearised at its posterior mode without an effect, which misses less.
+    The model's error repeats with the motion.  So a trial with the motion of a reference trial is linearised where
+    that is, at the reference posterior's mean: its scores have the same slopes and the same error.  One of another
+    motion is linearised at its posterior mode without an effect, where the error is less.
     """
     observed, motion = fit.observe(trial), _repeated(motion_spread(trial), references)
     prior = fit.prior_of(observed)
@@ -189,6 +189,7 @@ def session_sums(fit: ReferenceFit, columns: Sequence[EffectColumns], trial: Rec
     base = np.concatenate([made.base, observed.features], axis=1)
     residual = observed.data - made.data - observed.features @ at.x[at.constants:]
     growth = np.diag(prior.covariance - fit.bench.covariance) / np.diag(fit.prior.covariance - fit.bench.covariance)
+    # at the reference's mean the residual is the session's whole departure, of which nothing is an outlier
     weight = bounded(residual, observed.weight) if motion is None else observed.weight
     return SessionSums(summed(base, made.effects, residual + base @ (at.x - prior.mean), weight), growth, motion)
 
@@ -200,7 +201,7 @@ def motion_spread(trial: Recording) -> Array:
 
 
 def _repeated(spread: Array, references: Array, alike: float = 0.05) -> int | None:
-    """Return the number of the first reference trial with the motion of a trial; None if there is none.
+    """Return the number of the first reference trial with the motion of a trial; None without one.
 
     `alike`: largest relative difference of their spreads.  A controller that leads END moves the rope by 1 % otherwise
     where a knee's backlash grew by 26 mrad; a cadence of 1.35 s in place of 1.2 s differs by 12 %.

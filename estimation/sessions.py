@@ -16,9 +16,9 @@ a series whose own scatter σ is unknown (regression with a conjugate prior, Raf
     u_s = q_s (m + w_s d) + v_s + n_s + ε_s,  q_s = S_aa / √(1 + S_aa)
     ε_s ~ N(0, σ²),  ν₀/σ² ~ χ²(ν₀),  m, d, v, n ~ N(0, σ² V)
 
-w_s: 0 before the change; from its first session on 1 (step), or rising to 1 at the newest session (ramp).  v_s: what
-the model misses in the motion of a session, one for all sessions of a motion.  n_s: what a maintenance changes.  The
-order in which sessions were entered has no influence.
+w_s: 0 before the change; from its first session on 1 (step), or rising to 1 at the newest session (ramp).  v_s: error
+of the model in the motion of a session, one for all sessions of a motion.  n_s: change by a maintenance.  The order in
+which sessions were entered has no influence.
 """
 
 from collections.abc import Sequence
@@ -224,7 +224,7 @@ class SessionSequence:
         weights = self.weights().reshape(-1, self.count)
         after = [(np.arange(self.count) >= before).astype(float) for before in self._maintenance()]
         motions = [(self.motion == each).astype(float) for each in np.unique(self.motion)]
-        # in the scatter of the scores: any level, a motion or maintenance of the size of two sessions, a change of 6
+        # 1σ in the scatter of the scores: of a level 20 (any), of a motion or a maintenance 2, of a change 6
         known = np.column_stack([carried, *(motions if len(motions) > 1 else ()), *after])
         variances = np.array([20.0] + [2.0] * (known.shape[1] - 1) + [6.0]) ** 2
         none, _, _ = _regression(known[None], variances[:-1], scores)

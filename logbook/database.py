@@ -77,10 +77,10 @@ CREATE TABLE estimate (
 """)
 """SQL of each version of the schema, applied to the one before it; `PRAGMA user_version` counts them.
 
-The fourth and those from the sixth on drop estimates of single trials, which a later `add` makes anew from the files:
-the sixth since effects have secants, too, the seventh, with the references, since friction is distributed (decision
-50), the eighth since effects free more constants (decision 52), the ninth since a trial is linearised by its motion
-(decision 57).  The fifth renames constants."""
+The fourth and those from the sixth on drop estimates of single trials, which a later `add` makes anew from the files.
+Sixth: effects have secants, too.  Seventh, with the references: friction is distributed (decision 50).  Eighth: effects
+free more constants (decision 52).  Ninth, with the references: a trial is linearised by its motion (decision 57).  The
+fifth renames constants."""
 
 
 class TrialEntry(NamedTuple):

@@ -87,3 +87,17 @@ def test_a_suspicion_that_its_diagnosis_contradicts_is_told_and_not_stated(
     assert shown["changes"][0]["nats"] > 5.0
     assert (shown["verdict"], shown["alarms"]) == ("unchanged", [])
     assert "but the diagnosis of session 5 finds none" in bowden("logbook", "show", "book").stdout
+
+
+@pytest.mark.exhaustive
+def test_repeats_in_the_reference_condition_have_no_name_where_reference_trials_have_several_minima(
+        here: Path, bowden: Callable[..., Any]) -> None:
+    # at the minimum from the last reference trial's mode, these repeats have 14 to 17 nats of viscous friction
+    # (decision 49)
+    own = draws.draw(0, implementation="dahl")
+    motion = imposed.gait(own, 40.0, 1.2, 6)
+    paths = [_recorded(here / f"{k}.csv", like(own, np.random.default_rng((0, k, 17))), k, motion)
+             for k in (0, 1, 2, 3, 5, 8)]
+    for repeat in paths[3:]:
+        found = json.loads(bowden("diagnose", repeat, "--healthy", *paths[:3], "--json").stdout)
+        assert (found["verdict"], found["causes"]) == ("none", []), repeat
