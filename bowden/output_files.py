@@ -5,7 +5,8 @@ An output is never one of the inputs, by whatever name or link; its content is t
 
 import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from parameters import InputError
@@ -55,6 +56,37 @@ def _refuse_unwritable(path: Path) -> None:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give a writable place.") from None
     os.close(descriptor)
     os.unlink(name)
+
+
+@contextmanager
+def restored_unless_written(output: Path, side: Path | None = None) -> Iterator[bool]:
+    """Move existing files aside while the block writes them anew, and move them back if it leaves no `output`.
+
+    If it leaves one, the old files are deleted. `side`: a file that belongs to `output`. Yields whether an `output`
+    was there. A killed process leaves the old files in folders beside them, `.old-NAME-…`.  Raises `InputError` for a
+    file that cannot be moved.
+    """
+    aside = dict[Path, Path]()
+    try:
+        for path in (output, side):
+            if path is not None and path.exists():
+                aside[path] = _moved_aside(path)
+        yield output in aside
+    finally:
+        written = output.exists()
+        for path, old in aside.items():
+            if written:
+                old.unlink()
+            else:
+                old.replace(path)
+            old.parent.rmdir()
+
+
+def _moved_aside(path: Path) -> Path:
+    try:
+        return path.replace(Path(tempfile.mkdtemp(prefix=f".old-{path.name[:100]}-", dir=path.parent), path.name))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be replaced ({error.strerror}); give a writable place.") from None
 
 
 def _identity(path: Path) -> tuple[int, int]:

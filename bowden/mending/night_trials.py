@@ -96,7 +96,7 @@ class NightTrials:
             if (trial.figures.get("stop_reason") or "").startswith(INTERRUPTED):
                 raise KeyboardInterrupt  # not in the journal: the trial is recorded again when the run goes on
             seconds = 1e-9 * float(trial.time_ns[-1] - trial.time_ns[0]) if len(trial) else 0.0
-            return {"file": path.name, "seconds": seconds, "outcome": trial.outcome or "",
+            return {"file": trial.path.name, "seconds": seconds, "outcome": trial.outcome or "",
                     "stop_reason": trial.figures.get("stop_reason"), "percent": self._error_percent(trial)}
 
         if self.used_s > self.budget_s:

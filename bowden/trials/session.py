@@ -304,10 +304,24 @@ def perform(
     `announce` is remarked when the bus is open, before anything is sent; each `watch` receives the records during the
     run: the live page, a diagnosis.
     """
-    network, simulated = prepared.experiment.network, prepared.chosen.simulated
+    simulated = prepared.chosen.simulated
     truth = output.with_name(f"{output.stem}.truth.mcap") if simulated else None
     output_files.refuse([output, truth, picture], overwrite=overwrite)
     compile_laws(simulated=simulated, progress=progress)
+    with output_files.restored_unless_written(output, truth) as older:
+        return _performed(prepared, output, truth, picture, older=older, overwrite=overwrite, progress=progress,
+                          announce=announce, watch=watch)
+
+
+def _performed(
+    prepared: PreparedTrial, output: Path, truth: Path | None, picture: Path | None, *, older: bool,
+    overwrite: bool, progress: Progress, announce: str, watch: Sequence[Watch],
+) -> dict[str, Any]:
+    """Run the experiment as `perform` describes; leave no file of a run without a control cycle.
+
+    `older`: a trial of the output's name was moved aside; it stays if this one stops before the end of homing.
+    """
+    network, simulated = prepared.experiment.network, prepared.chosen.simulated
     planned = prepared.planned()
     with ExitStack() as after, opened(prepared.chosen, network, truth=truth) as bus:
         if truth is not None:
@@ -323,7 +337,7 @@ def perform(
                                          **prepared.files},
                             threaded=not simulated, overwrite=overwrite,
                             signals=(signals := of_bench(network.bench, prepared.own_signals)))
-        after.pop_all()
+        after.callback(recorder.discard)
         began = time.perf_counter()
         if announce:
             progress.remark(f"{announce} {planned.pulls}")
@@ -333,8 +347,13 @@ def perform(
                 sink = one.beside(sink)
             for sentence in refused:
                 sink.event(bus.clock(), "host", "master", sentence)
+            after.pop_all()
             try:
                 result = planned.run(Link(bus.bus, bus.clock), bus.tap, sink)
+            except KeyboardInterrupt:  # a second Ctrl-C
+                recorder.close({"outcome": "stopped", "stop_reason": "interrupted"})
+                after.callback(_removed_unless_run, output, truth)
+                raise
             except Exception as error:  # of a plant's plug-in, or a fault of this program
                 recorder.close({"outcome": "stopped", "stop_reason": str(error)})
                 after.callback(set_aside, output, truth)
@@ -343,13 +362,11 @@ def perform(
         result = closed(recorder, result)
         for one in watch:
             one.ended(result.stop_reason or result.outcome)
-    if result.stop_reason is not None and never_ran(output):
-        for path in (output, truth):
-            if path is not None:
-                path.unlink(missing_ok=True)
+    if result.stop_reason is not None and _removed_unless_run(output, truth):
         return report.refused(prepared.experiment, result, wall_s, serial=prepared.chosen.serial, simulated=simulated)
     kept = recorder.failure is None
-    if kept and not watch and (result.stop_reason or "").startswith(Condition.CONTROLLER.value):
+    unbegun = older and result.stop_reason and not (result.was_homed or prepared.experiment.dry_run)
+    if kept and (unbegun or (not watch and (result.stop_reason or "").startswith(Condition.CONTROLLER.value))):
         output, truth = set_aside(output, truth)
     figures = report.figures(prepared.experiment, result, output, truth, wall_s, serial=prepared.chosen.serial,
                              simulated=simulated, kept=kept, progress=progress, paths=prepared.paths)
@@ -359,7 +376,7 @@ def perform(
 
 
 def set_aside(output: Path, truth: Path | None) -> tuple[Path, Path | None]:
-    """Rename the recording of a trial whose plug-in failed, so that the next try finds its name free.
+    """Rename the recording of a trial whose plug-in failed or homing did not end, so that its name stays free.
 
     Returns the new paths, "….failed.mcap"; the recording of an earlier failure is replaced.
     """
@@ -377,6 +394,15 @@ def never_ran(output: Path) -> bool:
         return not read.open_file(output).extent.rows
     except InputError:
         return False  # a disk that is full: what is there is kept
+
+
+def _removed_unless_run(output: Path, truth: Path | None) -> bool:
+    """Remove the files of a run that ended before its first control cycle; return whether it did."""
+    empty = never_ran(output)
+    for path in (output, truth):
+        if empty and path is not None:
+            path.unlink(missing_ok=True)
+    return empty
 
 
 def closed(recorder: Recorder, result: Result) -> Result:

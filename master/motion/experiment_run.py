@@ -91,6 +91,11 @@ class Result:
     warning: str | None = None
     signal: int = 0
 
+    @property
+    def was_homed(self) -> bool:
+        """Whether homing succeeded, after which the experiment itself begins."""
+        return self.day is not None
+
 
 def run(link: Link, tap: can.BusABC | None, recorder: CycleSink | None, experiment: ExperimentSetup) -> Result:
     """Run an experiment on the bus of `link`; the recorder hears the bus through `tap`.

@@ -34,6 +34,11 @@ class PathsResult(Result):
 
     homed: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
+    @property
+    def was_homed(self) -> bool:
+        """Whether homing of a path succeeded."""
+        return bool(self.homed)
+
 
 def rest(exchange: Exchange, homing: Homing) -> None:
     """Slacken a rope by `RESTING_M`, so that its joint can move."""

@@ -330,6 +330,72 @@ def test_a_refused_bring_up_leaves_nothing_that_makes_the_retry_fail(here: Path,
     assert os.listdir() == ["bench.toml"]
 
 
+ENDINGS = (pytest.param(signal.SIGINT, marks=pytest.mark.exhaustive), signal.SIGTERM,
+           pytest.param(signal.SIGHUP, marks=pytest.mark.exhaustive))
+
+
+def older_trial(folder: Path) -> dict[str, bytes]:
+    """Write stand-ins for an older trial and its truth; return their content by name."""
+    content = {"a.mcap": b"older trial", "a.truth.mcap": b"older truth"}
+    for name, data in content.items():
+        (folder / name).write_bytes(data)
+    return content
+
+
+@pytest.mark.parametrize("cause", ["no servo", "silent bus", "refused option"])
+def test_overwrite_keeps_the_older_trial_where_the_new_one_does_not_begin(
+        here: Path, bowden: Bowden, cause: str) -> None:
+    (here / "faults.toml").write_text('[[fault]]\nkind = "power_off"\nnode = 1\nstart_s = 0.0\nstop_s = 1e3\n')
+    bus = {"no servo": ("--interface", "bowden", "--option", "faults=faults.toml"),
+           "silent bus": ("--interface", "virtual", "--channel", "nobody"),
+           "refused option": ("--interface", "bowden", "--option", "hand=nothing")}[cause]
+    before = older_trial(here)
+    status, out, _ = bowden("trial", *SHORT, *bus, "-o", "a.mcap", "--overwrite")
+    assert status in (1, 2)
+    assert "Trial:" not in out
+    assert {path.name: path.read_bytes() for path in here.glob("**/*.mcap")} == before
+    assert sorted(os.listdir()) == ["a.mcap", "a.truth.mcap", "faults.toml"]
+
+
+@pytest.mark.parametrize("options", [(), ("--watch", "--healthy", "h.mcap")], ids=["", "watched"])
+def test_overwrite_keeps_the_older_trial_where_homing_stops_and_records_the_stop(
+        here: Path, bowden: Bowden, options: tuple[str, ...]) -> None:
+    (here / "faults.toml").write_text('[[fault]]\nkind = "emergency_stop"\nnode = 1\nstart_s = 0.0\n')
+    if options:
+        assert bowden("trial", *SHORT, "-o", "h.mcap")[0] == 0
+    before = older_trial(here)
+    status, out, err = bowden("trial", *SHORT, "--interface", "bowden", "--option", "faults=faults.toml", *options,
+                              "-o", "a.mcap", "--overwrite")
+    assert status == 1, err
+    assert "Trial: a.failed.mcap" in out
+    assert "emergency stop (STO)" in (trial.open("a.failed.mcap").result or {})["stop_reason"]
+    assert {name: (here / name).read_bytes() for name in before} == before
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_overwrite_keeps_the_older_trial_where_a_signal_comes_before_the_new_one(
+        here: Path, number: signal.Signals) -> None:
+    before = older_trial(here)
+    process = subprocess.Popen([*BOWDEN, "trial", *SHORT, "--interface", "virtual", "--channel", "nobody", "-o",
+                                "a.mcap", "--overwrite"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stderr is not None
+        assert any(line.startswith("bowden: bench on") for line in process.stderr)  # the bus is open
+        process.send_signal(number)
+        rest = process.communicate(timeout=120.0)[1]
+    finally:
+        process.kill()
+    assert process.returncode in (1, 128 + number), rest  # 1: it had given up before the signal came
+    assert {path.name: path.read_bytes() for path in here.iterdir()} == before
+
+
+def test_overwrite_replaces_the_older_trial_and_leaves_nothing_of_it(here: Path, bowden: Bowden) -> None:
+    before = older_trial(here)
+    assert bowden("trial", *SHORT, "-o", "a.mcap", "--overwrite")[0] == 0
+    assert sorted(os.listdir()) == sorted(before)
+    assert trial.open("a.mcap").result is not None
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_does_what_ctrl_c_does_and_its_number_is_the_status(number: signal.Signals) -> None:
     with pytest.raises(KeyboardInterrupt), as_ctrl_c() as ended:
@@ -357,8 +423,6 @@ def telling(self, text):
 terminal.Terminal.running = telling
 sys.exit(run([*sys.argv[2:], "--json"]))
 """
-ENDINGS = (pytest.param(signal.SIGINT, marks=pytest.mark.exhaustive), signal.SIGTERM,
-           pytest.param(signal.SIGHUP, marks=pytest.mark.exhaustive))
 
 
 def stopped(number: signal.Signals, *arguments: str) -> subprocess.CompletedProcess[str]:
