@@ -2,12 +2,17 @@
 
 import dataclasses
 import math
+import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+KINDS: typing.Final[Mapping[Any, str]] = {
+    int: "a whole number", float: "a number", str: "a text", bool: "true or false", Mapping: "a table",
+    Sequence: "a list"}
+"""Types of parameters in the words of an error sentence."""
 
 
 class InputError(ValueError):
@@ -70,9 +75,12 @@ def _check_one(name: str, given: object, hint: object, declared: Declared, where
         right = False
     if isinstance(hint, type) and not number:
         right = isinstance(given, hint)
+    kinds: tuple[Any, ...] = (hint,)
+    if isinstance(hint, types.UnionType):
+        kinds = tuple(typing.get_origin(kind) or kind for kind in typing.get_args(hint))
+        right = isinstance(given, kinds)
     if not right:
-        plain = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}
-        expected = plain.get(typing.cast(Any, hint), str(hint))
+        expected = " or ".join(KINDS.get(kind, str(kind)) for kind in kinds if kind is not types.NoneType)
         raise InputError(f"{where}: {name} = {given!r} is not {expected}; {declared.text}.")
     if number and not declared.low <= typing.cast(float, given) <= declared.high:
         unit = f" {declared.unit}" if declared.unit else ""

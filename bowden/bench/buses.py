@@ -85,9 +85,9 @@ class OpenBus(NamedTuple):
 
 
 def option(key: str, value: str) -> tuple[str, Any]:
-    """Return key and value of an interface's option: a number, true or false, else text."""
+    """Return key and value of an interface's option: a number, true or false, else text; raises `InputError`."""
     if not key:
-        raise ValueError
+        raise InputError(f"--option ={value}: has no key; write KEY=VALUE, for instance --option fd=true.")
     for convert in (int, float):
         try:
             return key, convert(value)
@@ -100,7 +100,7 @@ def simulated(
     serial: int = 1, day: int = 0, seed: int = 0, *, plant: str = VIRTUAL,
     plant_model: str | Path | Mapping[str, Any] | BenchModel | None = None, channel: str | None = None, **more: Any,
 ) -> BusSettings:
-    """Return the virtual bus with a simulated bench on it; raises `InputError` for a number below 0.
+    """Return the virtual bus with a simulated bench on it; raises `InputError` for a number below 0 or no plant model.
 
     `serial` draws the manufacturing tolerances, `day` the changes from session to session, `seed` the noise. `plant`
     is a name of the entry-point group bowden.plants or module:callable; `plant_model` states plant parameters and
@@ -115,6 +115,8 @@ def simulated(
     if isinstance(plant_model, Path):
         model = str(plant_model)
     elif plant_model is not None and not isinstance(plant_model, str | Mapping):
+        if not isinstance(plant_model, BenchModel):
+            raise InputError(f"plant_model = {plant_model!r} is no file, table or bench model; name a TOML file.")
         model = tables(plant_model)
     arguments = {"interface": VIRTUAL, "channel": channel or BENCH, "serial": serial, "day": day, "seed": seed,
                  "plant": plant, "plant_model": model, **more}

@@ -74,6 +74,24 @@ def test_bad_input_is_refused_in_one_sentence(
     assert sorted(filled.iterdir()) == before
 
 
+@pytest.mark.parametrize(("text", "sentence"), [
+    ("=5", "--option =5: has no key; write KEY=VALUE"),
+    ("plant_model=5", "plant_model = 5 is no file, table or bench model; name a TOML file"),
+    ("faults=5", "faults = 5 is not a text or a list; faults of the wire: a TOML file"),
+    ("steady=5", "steady = 5 is not a text or a list"),
+    ("hand=5", "hand = 5 is not a table"),
+    ("hand=knee", "hand = 'knee' is not a table"),
+    ("sto_us=soon", "sto_us = 'soon' is not a whole number"),
+])
+def test_a_bad_option_of_the_simulated_bus_names_key_value_and_what_was_expected(
+    here: Path, bowden: Callable[..., tuple[int, str, str]], text: str, sentence: str
+) -> None:
+    status, out, err = bowden(*TRIAL, "--interface", "bowden", "--option", text)
+    assert (status, out) == (2, "")
+    assert sentence in err
+    assert not list(here.iterdir())
+
+
 @pytest.mark.parametrize("name", ["out.mcap", "out.truth.mcap"])
 def test_an_existing_output_is_kept(here: Path, bowden: Callable[..., tuple[int, str, str]], name: str) -> None:
     (here / name).write_bytes(b"kept")
