@@ -102,6 +102,13 @@ class TrialEntry(NamedTuple):
     remark: str
 
 
+def unfitted(entries: Sequence[TrialEntry]) -> Iterator[str]:
+    """Yield, for each reason why trials of `entries` have no fit, a line with their numbers and the reason."""
+    for reason in dict.fromkeys(entry.remark for entry in entries if not entry.estimated):
+        numbers = [str(entry.id) for entry in entries if not entry.estimated and entry.remark == reason]
+        yield f"No fit of trial{'s' * (len(numbers) > 1)} {', '.join(numbers)}: {reason}"
+
+
 class NewTrial(NamedTuple):
     """A trial to enter; `digest`: SHA-256 of its file."""
 

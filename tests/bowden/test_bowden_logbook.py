@@ -164,6 +164,21 @@ def test_lab_data_without_what_a_fit_needs_are_kept_with_the_reason(here: Path, 
     assert "1 more session has no trial that could be fitted; bowden logbook show --trial NUMBER says why." in said
 
 
+def test_the_list_has_the_reason_of_each_trial_without_a_fit_once(here: Path, bowden: Callable[..., Any]) -> None:
+    told(bowden, "logbook", "init", "book")
+    Path("lab.csv").write_text(LAB, encoding="utf-8")
+    Path("more.csv").write_text(LAB + "\n", encoding="utf-8")
+    rope(Path("locked.csv"), 0.1, "servo_position_m", "tension_start_n")
+    added = [told(bowden, "logbook", "add", "book", name, "--session", "monday")["added"][0]
+             for name in ("lab.csv", "more.csv", "locked.csv")]
+    assert [entry["estimated"] for entry in added] == [False, False, True]
+    status, out, err = bowden("logbook", "list", "book")
+    assert (status, err) == (0, "")
+    assert f"No fit of trials 2, 1: {added[0]['remark']}" in " ".join(out.split())
+    assert out.count("No fit of") == 1
+    assert max(map(len, out.splitlines())) <= 80
+
+
 def rope(path: Path, phase: float, *columns: str) -> None:
     """Write a table of a rope pulled against a spring with friction, knee locked, with `columns` beside time."""
     time = np.arange(0, 12, 0.005)

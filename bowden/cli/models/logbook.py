@@ -9,7 +9,7 @@ from bowden import output_files
 from bowden.cli import options, terminal
 from bowden.cli.app import CommandGroup, app
 from bowden.cli.options import argument, keyed, new_file, option
-from bowden.cli.terminal import AnswerTable, CommandAnswer, Words
+from bowden.cli.terminal import AnswerTable, CommandAnswer, Paragraph, Words
 from bowden.deferred import on_first_use
 from parameters import InputError
 
@@ -70,7 +70,7 @@ def add_trials(folder: Folder, files: Files, session: options.Session = None) ->
 
 @logbook.command("list", example="bowden logbook init bench1 && bowden logbook list bench1")
 def list_trials(folder: Folder, most: Most = 20) -> CommandAnswer:
-    """List the newest trials."""
+    """List the newest trials, and why any has no fit."""
     with database.open_logbook(folder) as book:
         name, counts, entries = book.name, book.counts(), book.trials(most)
     rows = [(str(e.id), e.label, e.experiment, e.outcome or "–", e.figures.get("relative_rmse_percent"),
@@ -78,7 +78,8 @@ def list_trials(folder: Folder, most: Most = 20) -> CommandAnswer:
     return CommandAnswer(
         {"bench": name, **{f"{k}s": v for k, v in counts.items()}, "newest": [entry._asdict() for entry in entries]},
         [AnswerTable(f"{name}: {counts['trial']} trials in {counts['session']} sessions", (
-            "trial", "session", "experiment", "outcome", "RMSE (%)", "file"), rows)])
+            "trial", "session", "experiment", "outcome", "RMSE (%)", "file"), rows),
+         *map(Paragraph, database.unfitted(entries))])
 
 
 @logbook.command("show", example="bowden logbook init bench1 && bowden logbook show bench1 --limit cable=0.3")
