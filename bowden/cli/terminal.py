@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import Any, NamedTuple
 
+from bowden import text_columns
 from parameters.files import json_text
 
 
@@ -95,14 +96,12 @@ def _draw(table: AnswerTable) -> None:
     drawn = Table()
     rows = [[str(cell) if isinstance(cell, str | int) else number(cell, table.form) for cell in row]
             for row in table.rows]
-    words = [word for cell in (table.header[0], *(row[0] for row in rows)) for word in cell.split()]
-    narrowest = min(max(map(len, words), default=1), WIDTH // 2)  # no name of the first column is cut in two
-    for i, name in enumerate(table.header):
-        drawn.add_column(name, justify="left" if i == 0 else "right", overflow="fold",
-                         min_width=narrowest if i == 0 else None)
+    console, padding = Console(), 3  # a column's two blanks and one line
+    widths = text_columns.widths([table.header, *rows], console.width - 1 - padding * len(table.header))
+    for i, (name, width) in enumerate(zip(table.header, widths, strict=True)):
+        drawn.add_column(name, justify="left" if i == 0 else "right", overflow="fold", width=width)
     for row in rows:
         drawn.add_row(*map(Text, row))  # [g] in a name is no markup
-    console = Console()
     console.print(Text(table.title))
     console.print(drawn)
 

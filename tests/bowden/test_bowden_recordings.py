@@ -59,6 +59,24 @@ def test_info_tells_of_a_trial_what_is_in_it(here: Path, bowden: Callable[..., t
     assert "operator: N. N." in bowden("info", "a.mcap")[1]
 
 
+@pytest.mark.parametrize(("columns", "cut"), [(80, set()), (60, {"can_msgs/msg/Frame", "bowden/msg/Cycle",
+                                                                 "bowden/msg/Event"}), (20, None)])
+def test_a_table_breaks_lines_at_blanks_and_cuts_a_word_only_where_the_terminal_has_no_room(
+    here: Path, bowden: Callable[..., tuple[int, str, str]], monkeypatch: pytest.MonkeyPatch, columns: int,
+    cut: set[str] | None
+) -> None:
+    made(here / "a.mcap")
+    streams = json.loads(bowden("info", "a.mcap", "--json")[1])["streams"]
+    monkeypatch.setenv("COLUMNS", str(columns))
+    status, out, err = bowden("info", "a.mcap")
+    assert (status, err) == (0, "")
+    table = out.split("streams\n")[1].split("\ncolumns")[0]
+    assert max(map(len, table.splitlines())) <= columns
+    words = {word for one in streams for word in (
+        one["name"], one["kind"], str(one["messages"]), f"{one['rate_hz']:.2f}")} | {"longest", "gap", "(Hz)"}
+    assert cut is None or {word for word in words if word not in table} == cut
+
+
 @pytest.mark.parametrize(("name", "text", "expected"), [
     ("lab.csv", "time_s;force\ns;N\n0;1,5\n0,1;2\n0,2;3\n0,5;4\n", ("table of 4 rows", "delimiter semicolon")),
     ("bus.log", "(1.000000) can0 080#\n(1.001000) can0 080#\n(1.002000) can0 183#0100\n", ("SYNC", "TPDO of start")),
