@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import fcntl
+import gc
 import io
 import itertools
 import json
@@ -85,6 +86,12 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
     if report.when == "teardown":
         report.user_properties.append(("cpu_s", _cpu_s() - dict(item.user_properties)["cpu_from_s"]))
     return report
+
+
+def pytest_collection_finish() -> None:
+    """Exempt modules and tests from the garbage collection with which a trial begins: 0.2 s of CPU in each trial."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

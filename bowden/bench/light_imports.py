@@ -15,11 +15,12 @@ SPARED: Final = {"can": "asammdf", "numba.np.arraymath": "scipy.linalg.cython_bl
 
 def load() -> None:
     """Import each module of `SPARED` while the heavy one that it can do without is hidden, unless either is loaded."""
+    missing = {name: spared for name, spared in SPARED.items() if not {name, spared} & sys.modules.keys()}
+    if not missing:
+        return
     gc.disable()  # an import creates objects that stay: to look for garbage among them takes a tenth of its time
     try:
-        for name, spared in SPARED.items():
-            if name in sys.modules or spared in sys.modules:
-                continue
+        for name, spared in missing.items():
             sys.modules[spared] = None  # type: ignore[assignment]  # an import of it then fails as if it were absent
             try:
                 importlib.import_module(name)

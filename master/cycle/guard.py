@@ -27,6 +27,7 @@ from master.settings import Limits
 T = TypeVar("T")
 
 _ENABLED_MASK, _ENABLED = State.OPERATION_ENABLED.value
+_FOLLOWING_ERROR, _INTERNAL_LIMIT = int(Status.FOLLOWING_ERROR), int(Status.INTERNAL_LIMIT)  # `&` of an enum takes a µs
 WATCH_NS = 10_000_000
 """Period at which signals and heartbeats are looked at, ns: short against a heartbeat's timeout, 250 ms."""
 LIMITED_NS = 300_000_000
@@ -145,11 +146,11 @@ class Guard:
         """Stop if a drive reports a following error (statusword bit 13) or an internal limit for too long (bit 11)."""
         for i, (node, word) in enumerate(zip(self._path, (inputs.servo_status, inputs.knee_status), strict=False)):
             # in homing mode bit 13 is the homing error (CiA 402), which `drives.set_home` reads
-            if word & Status.FOLLOWING_ERROR and not rehoming:
+            if word & _FOLLOWING_ERROR and not rehoming:
                 raise StopError(Condition.OFF_TARGET, f"{self._name(node)} reports a following error (statusword "
                                                       f"0x{word:04X}, bit 13)", node)
             since = self._limited_ns[i]
-            if not word & Status.INTERNAL_LIMIT:
+            if not word & _INTERNAL_LIMIT:
                 self._limited_ns[i] = 0
             elif not since:
                 self._limited_ns[i] = inputs.sync_ns

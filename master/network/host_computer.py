@@ -50,15 +50,20 @@ def prepared() -> Iterator[list[str]]:
 
 @contextmanager
 def collector_frozen() -> Iterator[None]:
-    """Disable garbage collection in the context; objects that exist are exempt until its end."""
-    enabled = gc.isenabled()
+    """Disable garbage collection in the context; objects that exist are exempt until its end.
+
+    A program that has exempted objects itself keeps them exempt: Python ends all exemptions or none.
+    """
+    enabled, frozen = gc.isenabled(), gc.get_freeze_count()
     gc.collect()
-    gc.freeze()
+    if not frozen:
+        gc.freeze()
     gc.disable()
     try:
         yield
     finally:
-        gc.unfreeze()
+        if not frozen:
+            gc.unfreeze()
         if enabled:
             gc.enable()
 
