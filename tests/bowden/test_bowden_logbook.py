@@ -181,7 +181,7 @@ def test_the_list_has_the_reason_of_each_trial_without_a_fit_once(here: Path, bo
 
 def rope(path: Path, phase: float, *columns: str) -> None:
     """Write a table of a rope pulled against a spring with friction, knee locked, with `columns` beside time."""
-    time = np.arange(0, 12, 0.005)
+    time = np.arange(0, 4, 0.02)
     position = 0.01 + 0.01 * np.sin(np.pi * time + phase)
     start = 20 + 2500 * position + 4 * np.sign(np.cos(np.pi * time + phase))
     noise = np.random.default_rng(round(1000 * phase)).normal(0, 0.05, (2, len(time)))
