@@ -32,8 +32,8 @@ KEYS = ("verdict", "causes", "class", "experiment", "relations", "warnings", "de
 
 @pytest.fixture(scope="module")
 def whole() -> Columns:
-    """Four gait cycles at 100 Hz of the bench written apart, its END sensor 3 N off."""
-    return {name: values[::10] for name, values in trial(Bench(end_offset=3.0), seed=1, cycles=4).items()}
+    """Three gait cycles at 100 Hz of the bench written apart, its END sensor 3 N off."""
+    return {name: values[::10] for name, values in trial(Bench(end_offset=3.0), seed=1, cycles=3).items()}
 
 
 @pytest.fixture(scope="module")

@@ -20,9 +20,9 @@ COMMANDS = ("diagnose lacking.csv", "diagnose lacking.csv --healthy whole.csv",
 NAMES = [signal.name for signal in MOTION_AND_FORCE]
 
 
-def table(path: Path, lacking: Collection[str] = (), phase: float = 0.0) -> None:
-    """Write a rope over a knee at 100 Hz, in four cycles, with every column but `lacking`."""
-    time = np.arange(0.0, 8.0, 0.01)
+def table(path: Path, lacking: Collection[str] = (), phase: float = 0.0, step_s: float = 0.01) -> None:
+    """Write a rope over a knee, in four cycles of 2 s, with every column but `lacking`."""
+    time = np.arange(0.0, 8.0, step_s)
     turn = np.pi * time + phase
     end = 12.0 + 10.0 * np.sin(turn)
     columns = {name: np.zeros(time.size) for name in NAMES} | {
@@ -38,8 +38,8 @@ def table(path: Path, lacking: Collection[str] = (), phase: float = 0.0) -> None
 
 def refused(bowden: Callable[..., tuple[int, str, str]], lacking: Collection[str], command: str) -> bool:
     """Run a command on a table without columns `lacking`; return whether it refused the table, in one sentence."""
-    table(Path("whole.csv"), phase=0.5)
-    table(Path("lacking.csv"), lacking)
+    table(Path("whole.csv"), phase=0.5, step_s=0.02)
+    table(Path("lacking.csv"), lacking, step_s=0.02)
     status, _, err = bowden(*command.split())
     assert status in (0, 2), (lacking, command, err)
     assert "Error" not in err, (lacking, command, err)

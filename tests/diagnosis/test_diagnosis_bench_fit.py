@@ -25,7 +25,7 @@ NOISE_N = 0.1
 
 def on_own_plant(seed: int, zero_m: float = 0.0, turned: bool = False) -> Table:
     """A trial of this project's own simulated bench under a walking motion, its rope counted from another zero."""
-    motion = family.gait(draws.draw(1), cycles=4)
+    motion = family.gait(draws.draw(1), cycles=3)
     rope = motion.rope - float(draws.draw(1).zero) + PlantParameters().encoder_zero_m
     told = imposed.simulate(PlantParameters(), imposed.motion(motion.time, rope, motion.knee))
     rng = np.random.default_rng(seed)
