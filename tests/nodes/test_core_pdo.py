@@ -446,14 +446,14 @@ def test_the_cob_id_of_a_pdo_that_exists(index: int) -> None:
 
 
 @pytest.mark.parametrize("index", [0x1400, 0x1800])
-@pytest.mark.parametrize("kind", range(256))
-def test_transmission_types(index: int, kind: int) -> None:
+def test_transmission_types(index: int) -> None:
     bus = Bus()
-    if 241 <= kind <= 253:
-        assert bus.refused(index, 2, kind, "B") == Abort.INVALID_VALUE == 0x06090030
-    else:
-        bus.write(index, 2, kind, "B")
-        assert bus.read(index, 2, "B") == kind
+    for kind in range(256):
+        if 241 <= kind <= 253:
+            assert bus.refused(index, 2, kind, "B") == Abort.INVALID_VALUE == 0x06090030
+        else:
+            bus.write(index, 2, kind, "B")
+            assert bus.read(index, 2, "B") == kind
 
 
 @pytest.mark.parametrize(("sub", "code"), [(3, "H"), (6, "B")])

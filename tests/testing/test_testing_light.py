@@ -31,10 +31,11 @@ print(sorted(set(sys.modules) & set({heavy!r})))
 """
 COMMAND = """
 from bowden.cli import main
-try:
-    main({words!r})
-except SystemExit as ended:
-    if ended.code: raise
+for words in {lines!r}:
+    try:
+        main(words)
+    except SystemExit as ended:
+        if ended.code: raise
 """
 IMPORT = "import bowden.testing"
 BUS = """
@@ -56,25 +57,24 @@ def test_no_compiler_is_loaded(program: str, absent: tuple[str, ...]) -> None:
     assert (done.returncode, done.stdout) == (0, "[]\n"), done.stderr
 
 
-def ran(words: list[str], at: Path) -> subprocess.CompletedProcess[str]:
-    """Run a command line where the libraries of the extras are missing."""
-    text = USED.format(program=COMMAND.format(words=words), absent=HEAVY, heavy=HEAVY)
+def ran(at: Path, *lines: list[str]) -> subprocess.CompletedProcess[str]:
+    """Run command lines, one after the other, where the libraries of the extras are missing."""
+    text = USED.format(program=COMMAND.format(lines=lines), absent=HEAVY, heavy=HEAVY)
     return subprocess.run([sys.executable, "-c", text], text=True, capture_output=True, check=False, cwd=at)
 
 
 def test_the_base_install_scans_monitors_checks_and_records(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text("(1.0) can0 701#05\n")
-    for words in (["monitor", "a.log"], ["check", "eds", str(ROOT / "eds" / "servo_drive.eds")],
-                  ["import", "a.log", "-o", "a.mcap"], ["info", "a.mcap"], ["node", "emcy", "8611"], ["--help"],
-                  ["node", "--help"]):
-        done = ran(words, tmp_path)
-        assert done.returncode == 0, (words, done.stderr)
-        assert done.stdout.endswith("[]\n") or words[-1] == "--help"
+    done = ran(tmp_path, ["monitor", "a.log"], ["check", "eds", str(ROOT / "eds" / "servo_drive.eds")],
+               ["import", "a.log", "-o", "a.mcap"], ["info", "a.mcap"], ["node", "emcy", "8611"], ["--help"],
+               ["node", "--help"])
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("[]\n")
 
 
 @pytest.mark.parametrize("words", [["trial", "-o", "b.mcap"], ["node", "scan"], ["monitor"]])
 def test_a_missing_extra_is_one_sentence_with_its_command(tmp_path: Path, words: list[str]) -> None:
-    done = ran(words, tmp_path)
+    done = ran(tmp_path, words)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert re.search(r"this needs \w+, which is not installed; say pip install 'bowden-bench\[(bench|diagnosis)\]'",
                      done.stderr)
