@@ -121,7 +121,7 @@ def test_what_moves_says_first_how_hard_it_pulls(
     bowden: Callable[..., Any], command: tuple[str, ...], pattern: str
 ) -> None:
     channel = " ".join(command)
-    status, _, err = bowden(*command, "--interface", "bowden", "--channel", channel, "--json")
+    status, out, err = bowden(*command, "--interface", "bowden", "--channel", channel, "--json")
     assert (status, err) == (0, "")
     status, _, err = bowden(*command, "--interface", "bowden", "--channel", channel)
     assert status == 0
@@ -129,8 +129,7 @@ def test_what_moves_says_first_how_hard_it_pulls(
     if command[0] == "home":
         most = re.search(r"at most (\d+) N", err)
         assert most is not None
-        assert float(json.loads(bowden(*command, "--interface", "bowden", "--channel", channel, "--json")[1])[
-            "tension_start_n"]) < float(most[1])
+        assert float(json.loads(out)["tension_start_n"]) < float(most[1])
 
 
 @pytest.mark.parametrize(("what", "sentence"), [
