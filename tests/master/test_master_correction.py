@@ -141,12 +141,13 @@ def test_friction_that_homing_measures_is_not_counted_twice() -> None:
 
 
 def test_a_controller_without_effects_is_the_controller_itself() -> None:
-    given = PaperController, nominal(), table(), controller.Conditions(settings.Impedance())
+    gait_table = table()
+    given = PaperController, nominal(), gait_table, controller.Conditions(settings.Impedance())
     plain = controller.with_effects(*given, None)
     told = controller.with_effects(*given, tabulated({"end_gain": {"end_gain": 1.05}}))
     state, same = plain.initial(), told.initial()
     for sample in range(300):
-        seen = ControllerInput(sample, 0.01, 0.0, table().knee[sample], 10.0)
+        seen = ControllerInput(sample, 0.01, 0.0, gait_table.knee[sample], 10.0)
         outputs, state, _ = plain.step(seen, state)
         others, same, _ = told.step(seen, same)
         assert outputs == pytest.approx(others, abs=1e-12)
