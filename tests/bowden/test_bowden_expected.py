@@ -119,15 +119,6 @@ def test_help_imports_nothing_heavy() -> None:
     assert not HEAVY & set(told.stderr.split())
 
 
-def test_a_trial_loads_no_statistics_no_watch_and_no_page(tmp_path: Path) -> None:
-    script = ("import sys; from bowden.cli.app import run; run(sys.argv[1:]); print(*sys.modules, file=sys.stderr)")
-    told = subprocess.run([sys.executable, "-c", script, "trial", *SHORT, "-o", tmp_path / "a.mcap"],
-                          capture_output=True, text=True, check=True)
-    loaded = set(told.stderr.split())
-    assert "virtual_bus.bus" in loaded
-    assert not {"scipy.signal", "scipy.stats", "pandas", "bowden.watch.watch_process", "bowden.live.feeds"} & loaded
-
-
 def test_what_raises_unexpectedly_is_one_line_without_a_traceback(
     here: Path, bowden: Bowden, monkeypatch: pytest.MonkeyPatch
 ) -> None:
