@@ -113,8 +113,14 @@ def run(kind: type[Any], **more: Any) -> bowden.Trial:
     return bowden.run(bowden.Experiment(controller=kind, period_s=1.0, cycles=1, settle=0, **more))
 
 
-def test_own_columns_are_in_the_trial_with_unit_and_the_others_are_as_without() -> None:
-    own, plain = run(Counting), run(PaperController)
+@pytest.fixture(scope="module")
+def counted() -> bowden.Trial:
+    """A trial by the controller with a column of its own."""
+    return run(Counting)
+
+
+def test_own_columns_are_in_the_trial_with_unit_and_the_others_are_as_without(counted: bowden.Trial) -> None:
+    own, plain = counted, run(PaperController)
     assert own.metadata["controller"] == f"{HERE}:Counting"
     assert own.units["steps"] == "1"
     walked = np.isfinite(own.columns["gait_percent"])
@@ -190,17 +196,17 @@ def test_a_file_that_exits_when_imported_is_one_sentence(tmp_path: Path) -> None
         controller.find(f"{tmp_path}/leaves.py:Own", where="--controller")
 
 
-def test_a_replay_onto_a_controller_of_others_compares_its_own_columns() -> None:
+def test_a_replay_onto_a_controller_of_others_compares_its_own_columns(counted: bowden.Trial) -> None:
     from bowden.replay import onto_controller
     from bowden.trials.recorded import experiment
 
-    trial = run(Counting)
-    chosen = experiment(trial.recorded, allowed=trial.recorded.metadata["controller"])
-    assert onto_controller.replay(trial.recorded, chosen).same
+    trial = counted.recorded
+    chosen = experiment(trial, allowed=trial.metadata["controller"])
+    assert onto_controller.replay(trial, chosen).same
     before = Counting.step
     try:
         Counting.step = lambda self, seen, state: _later(before(self, seen, state))  # type: ignore[method-assign]
-        found = onto_controller.replay(trial.recorded, chosen)
+        found = onto_controller.replay(trial, chosen)
     finally:
         Counting.step = before  # type: ignore[method-assign]
     assert set(found.differing) == {"steps"}
