@@ -183,18 +183,23 @@ def test_bad_input_is_one_sentence(call: Callable[[], object], says: str, tmp_pa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_trial_is_exported_compared_and_replayed(tmp_path: Path) -> None:
-    trial = bowden.run(SHORT, output=tmp_path / "a.mcap")
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory: pytest.TempPathFactory) -> bowden.Trial:
+    """A short trial in a file."""
+    return bowden.run(SHORT, output=tmp_path_factory.mktemp("trial") / "a.mcap")
+
+
+def test_a_trial_is_exported_compared_and_replayed(trial: bowden.Trial, tmp_path: Path) -> None:
     other = bowden.run(SHORT, bus=bowden.simulated(seed=1))
     assert bowden.export(trial, tmp_path / "a.csv") == len(trial)
     assert np.array_equal(bowden.read(tmp_path / "a.csv").columns["tension_end_n"], trial.columns["tension_end_n"])
     with pytest.raises(bowden.InputError, match="exists"):
         bowden.export(trial, tmp_path / "a.csv")
-    assert bowden.compare(trial, tmp_path / "a.mcap").same
+    assert bowden.compare(trial, trial.path).same
     differing = {row.name for row in bowden.compare(trial, other).signals if row.rms > 0}
     assert "tension_start_n" in differing
     assert bowden.replay.onto("controller", trial).same
-    assert bowden.replay.onto("plant", tmp_path / "a.mcap").same
+    assert bowden.replay.onto("plant", trial.path).same
     assert not bowden.replay.onto("plant", trial, bus=bowden.simulated(2)).same
 
 
@@ -284,8 +289,7 @@ def test_a_healthy_fit_is_made_once_and_says_what_a_single_diagnosis_says(monkey
     assert diagnose([trial.path], healthy=[healthy.path]).as_json() == told.as_json()
 
 
-def test_the_cycle_of_a_packaged_controller_has_no_column_more() -> None:
-    trial = bowden.run(SHORT)
+def test_the_cycle_of_a_packaged_controller_has_no_column_more(trial: bowden.Trial) -> None:
     with trial.path.open("rb") as file:
         assert cdr.CYCLE.encode() in file.read()
     from trial.signals import COLUMNS
