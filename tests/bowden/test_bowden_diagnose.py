@@ -32,8 +32,8 @@ KEYS = ("verdict", "causes", "class", "experiment", "relations", "warnings", "de
 
 @pytest.fixture(scope="module")
 def whole() -> Columns:
-    """Three gait cycles at 100 Hz of the bench written apart, its END sensor 3 N off."""
-    return {name: values[::10] for name, values in trial(Bench(end_offset=3.0), seed=1, cycles=3).items()}
+    """Four gait cycles at 100 Hz of the bench written apart, its END sensor 3 N off."""
+    return {name: values[::10] for name, values in trial(Bench(end_offset=3.0), seed=1, cycles=4).items()}
 
 
 @pytest.fixture(scope="module")
@@ -126,9 +126,9 @@ def test_one_file_as_trial_and_holdout_is_refused(walked: Columns, bowden: Run, 
 
 @pytest.fixture(scope="module")
 def diagnosed(walked: Columns, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the diagnosis of the force path's columns, low-passed at 20 Hz: JSON, bench model and page."""
+    """A folder with the diagnosis of three gait cycles, low-passed at 20 Hz: table, JSON, bench model and page."""
     folder = tmp_path_factory.mktemp("diagnosed")
-    arguments = ("diagnose", written(folder / "a.csv", walked), "--lowpass", 20, "-o", folder / "extended.toml",
+    arguments = ("diagnose", written(folder / "a.csv", cut(walked, 3)), "--lowpass", 20, "-o", folder / "extended.toml",
                  "--report", folder / "page.html", "--json")
     with (folder / "diagnosis.json").open("w", encoding="utf-8") as file, contextlib.redirect_stdout(file):
         assert run([str(argument) for argument in arguments]) == 0

@@ -13,7 +13,7 @@ from estimation.posterior import mode
 from physics.laws import Array
 from tests.hidden.family import Job, case
 
-BENCH = Job(39, (), 9, cycles=4)
+BENCH = Job(39, (), 9, cycles=5)
 
 
 def test_a_cycle_that_is_left_out_is_predicted_as_by_a_fit_without_it() -> None:
