@@ -5,9 +5,9 @@
 The model error under one motion repeats under it, so that e_r removes it.  δ = s − s_r and d are differences of two
 sessions.  s_r, the departure of session r from the bench, is known as far as all reference trials determine it.  What
 absorbs model error (gains of `ForwardModel.surrogate_sd`, feature weights) repeats, too: its 1σ is √2 times that of one
-session.  Evidence is averaged over a larger scatter of structural constants than the stated one, too, unless reference
-trials exclude it.  ε: sensor noise of both trials, and of the model error the share that changes between sessions
-(`ForwardModel.session_share`).
+session.  Evidence is averaged over the scatter of structural constants, up to the stated one, or a larger one that
+several reference trials do not exclude.  ε: sensor noise of both trials, and of the model error the share that changes
+between sessions (`ForwardModel.session_share`).
 """
 
 import copy
@@ -70,15 +70,16 @@ def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: 
             ) -> Pair:
     """Return the pair of a trial and reference trial `number`, the recording `other`, `lag` samples behind it.
 
-    `odds`: of the stated scatter over a larger one from which reference trials exclude that.
+    `odds`: of the stated scatter over a larger one from which reference trials exclude that.  Beside one alone, which
+    shows no scatter, any change would be within a larger one.
     """
     known = fit.observe(other)
     design = np.hstack([known.jacobian(fit.identified[number][0], list(fit.model.constants.free))[1], known.features])
     information = (design.T * known.weight) @ design
     stated = SessionPrior(0.0, 0.0, fit.prior, np.diag(fit.prior.covariance - fit.bench.covariance))
     stated_nats = max((each.log_probability for each in fit.session_priors if each.log_factor == 0.0), default=0.0)
-    scatters = [each for each in fit.session_priors
-                if each.log_factor <= 0.0 or each.log_probability > stated_nats - np.log(odds)]
+    least = stated_nats - np.log(odds) if len(fit.identified) > 1 else np.inf
+    scatters = [each for each in fit.session_priors if each.log_factor <= 0.0 or each.log_probability > least]
     whole = float(np.logaddexp.reduce([each.log_probability for each in scatters]))
     return Pair(_difference(fit, known, observed, number, lag), _prior(fit, number, information, stated), [
         (each.log_probability - whole, _prior(fit, number, information, each)) for each in scatters], number)

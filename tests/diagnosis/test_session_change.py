@@ -71,6 +71,9 @@ def test_one_reference_trial_shows_no_scatter(alone: tuple[ReferenceFit, Session
     # ln κ ~ N(0, 1), which one session changes by less than a third of the odds that exclude a scatter, ln 20 = 3
     stated, wider = (each.log_probability for each in fit.session_priors[-2:])
     assert wider - stated == pytest.approx(-0.5, abs=1.0)
+    # so that a repeat of its motion departs by no more than the stated scatter, within which not any change is
+    recording = observed.trials[0]
+    assert len(pair_of(fit, recording, fit.observe(recording), 0, 0).session_priors) == 4
 
 
 @pytest.mark.slow

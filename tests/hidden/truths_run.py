@@ -1,10 +1,11 @@
 """The diagnosis asked about rigs of another structure: what is in the ambiguity set, and what is named in its place.
 
     python -m tests.hidden.truths_run [--first SEED] [--singles N] [--healthy N] [--pairs N] [--outside N]
-                                      [--structures truth1,truth2] [--motion] [--hash] [--workers N] [--answers FILE]
+                                      [--structures truth1,truth2] [--motion] [--alone] [--hash] [--workers N]
+                                      [--answers FILE]
 
-`--motion` gives the diagnosis a reference trial of the trial's own motion, too.  Answers are stored with the commit,
-and a run that was broken off goes on from there.
+`--motion` gives the diagnosis a reference trial of the trial's own motion, too, `--alone` that one only.  Answers
+are stored with the commit, and a run that was broken off goes on from there.
 """
 
 from __future__ import annotations
@@ -90,17 +91,18 @@ def stored(asked: Question, folder: Path = OUT / "truths") -> Drawn:
         return Drawn(tuple(sets[:2]), *sets[2:], float(held["separation"]), held["clean"])
 
 
-def answer(asked: Question, motion: bool = False) -> Answer:
-    """Return the diagnosis of one case; `motion`: a reference trial of the trial's own motion is given, too."""
+def answer(asked: Question, motion: bool = False, alone: bool = False) -> Answer:
+    """Return the diagnosis of one case; `motion`: a reference trial of the trial's own motion is given, too; `alone`:
+    without the others."""
     made = stored(asked)
     healthy = [table(f"healthy{k}", columns) for k, columns in enumerate(
-        (*made.references, *([made.same_motion] if motion else [])))]
+        (*(() if alone else made.references), *([made.same_motion] if motion or alone else [])))]
     began = time.perf_counter()
     further = [table("repeat", made.repeat), table("further", made.further)]
     found = Finder().examine(healthy).diagnose([table("trial", made.trial)], further)
     seconds = time.perf_counter() - began
     evidence = found.evidence or {}
-    return Answer(asked.structure, asked.hidden, asked.seed, motion, made.separation, found.verdict,
+    return Answer(asked.structure, asked.hidden, asked.seed, motion or alone, made.separation, found.verdict,
                   tuple(cause["effect"] for cause in found.causes), tuple(found.rivals), found.part,
                   {k: round(v, 1) for k, v in list(evidence.get("log_bayes_factors", {}).items())[:5]},
                   {"misfit": evidence.get("misfit"), "warnings": found.warnings, "simulation": found.simulation},
@@ -179,6 +181,7 @@ def main(arguments: list[str]) -> None:
         parser.add_argument(name, type=int, default=count)
     parser.add_argument("--structures", default=",".join(truths.STRUCTURES))
     parser.add_argument("--motion", action="store_true")
+    parser.add_argument("--alone", action="store_true")
     parser.add_argument("--hash", action="store_true")
     parser.add_argument("--answers", type=Path)
     given = parser.parse_args(arguments)
@@ -188,11 +191,12 @@ def main(arguments: list[str]) -> None:
     print(f"{len(asked)} cases, SHA-256 {digest(asked)}", flush=True)
     if given.hash:
         return
-    path = given.answers or OUT / f"truths-{provenance.commit()}{'-motion' if given.motion else ''}.jsonl"
+    kind = "-alone" if given.alone else "-motion" if given.motion else ""
+    path = given.answers or OUT / f"truths-{provenance.commit()}{kind}.jsonl"
     path.parent.mkdir(exist_ok=True)
     told = _kept(path)
     todo = [q for q in asked if (q.structure, q.hidden, q.seed) not in told]
-    ask = functools.partial(answer, motion=given.motion)
+    ask = functools.partial(answer, motion=given.motion, alone=given.alone)
     with contextlib.ExitStack() as stack, path.open("a") as out:
         crew = map(ask, todo) if given.workers == 1 else stack.enter_context(ProcessPoolExecutor(
             given.workers, mp_context=get_context("spawn"))).map(ask, todo)
