@@ -83,7 +83,7 @@ def test_a_node_of_one_path_cut_off_lets_every_path_go(
 def test_the_limit_of_one_path_stops_every_path(walked: tuple[DeclaredBench, Path]) -> None:
     """The second path's START limit lies between what its homing and its gait reach.
 
-    It bounds the torque of a slack rope's drive, too, which a swing at 1 s needs: the drive would fall behind.
+    It bounds the drive's speed, too (docs/drives.md): at a period of 1 s the rope would fall behind the swing.
     """
     bench, folder = walked
     path, strong = bench.force_paths[1], {"peak_n": 60, "period_s": 2}
