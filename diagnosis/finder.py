@@ -268,8 +268,10 @@ def _short(trials: Sequence[Table], least: int = 3) -> str:
     cycles = sum(np.unique(cycles_of(t)).size for t in trials)
     if cycles >= least:
         return ""
-    return (f"{', '.join(t.source for t in trials)}: {cycles} cycle{'' if cycles == 1 else 's'}; expected at least "
-            f"{least}, so that some stay unseen.")
+    seconds = sum(float(np.ptp(t["time_s"])) for t in trials if "cycle" not in t)
+    length, unit = (f"{seconds:.2g} s", " s") if seconds else (f"{cycles} cycle{'' if cycles == 1 else 's'}", "")
+    return (f"{', '.join(t.source for t in trials)}: {length}; expected at least {least}{unit}, so that some stay "
+            "unseen.")
 
 
 def _of_wire(carried: WireFindings, warnings: list[str]) -> Findings:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -108,8 +109,8 @@ class EvidenceFinder:
             found.refused.add(name)
             decided = self._decided(found)
         if pair is not None:
-            said.append(f"{self._tables[pair.reference].source} has the motion of the trial: only their difference was "
-                        "compared, since what the model misses repeats.")
+            said.append(f"{Path(self._tables[pair.reference].source).name} has the motion of the trial: only their "
+                        "difference was compared, since what the model misses repeats.")
         if others and len(decided.chosen) == 1 < len(decided.among):
             split = _split(found, decided, reference, read, [self.recording(t, outputs) for t in others])
             if split is None:

@@ -191,14 +191,16 @@ def blocks_of(tables: Sequence[Table], trials: Sequence[Recording]) -> list[NDAr
     return told
 
 
-def cycles_of(table: Table, block_s: float = 2.0) -> Array:
+def cycles_of(table: Table, block_s: float = 2.0, least_s: float = 1.0) -> Array:
     """Return the cycle number of each sample; without cycle numbers, blocks of `block_s`, about one gait cycle.
 
-    The last block also holds the remainder of the trial.
+    A trial that is too short for three of them has three blocks of `least_s` or more.  The last block also holds the
+    remainder of the trial.
     """
     if "cycle" in table:
         return np.asarray(np.floor(np.nan_to_num(table["cycle"])))
-    blocks = np.floor((table["time_s"] - table["time_s"][0]) / block_s)
+    passed = table["time_s"] - table["time_s"][0]
+    blocks = np.floor(passed / min(block_s, max(least_s, 0.333 * passed[-1])))
     return np.asarray(np.minimum(blocks, max(blocks[-1] - 1.0, 0.0)))
 
 

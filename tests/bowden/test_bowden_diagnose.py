@@ -69,6 +69,11 @@ def nothing_at_all(columns: Columns) -> Columns:
             for name, values in columns.items()}
 
 
+def without_cycles_to_2_5_s(columns: Columns) -> Columns:
+    rows = columns["time_s"] <= columns["time_s"][0] + 2.5
+    return {name: values[rows] for name, values in columns.items() if name not in ("cycle", "gait_percent")}
+
+
 def holes(columns: Columns) -> Columns:
     end = columns["tension_end_n"].copy()
     end[::3] = np.nan
@@ -77,10 +82,11 @@ def holes(columns: Columns) -> Columns:
 
 @pytest.mark.parametrize(("spoilt", "says"), [
     (lambda columns: cut(columns, 2), "2 cycles; expected at least 3"),
+    (without_cycles_to_2_5_s, ": 2.5 s; expected at least 3 s"),
     (without_end(7.0), "tension_end_n is constant at 7"),
     (nothing_at_all, "has no column"),
     (holes, "tension_end_n lacks "),
-], ids=["two cycles", "constant", "everything NaN", "a third missing"])
+], ids=["two cycles", "2.5 s", "constant", "everything NaN", "a third missing"])
 def test_where_nothing_can_be_said_it_is_refused(
     spoilt: Callable[[Columns], Columns], says: str, walked: Columns, bowden: Run, here: Path
 ) -> None:

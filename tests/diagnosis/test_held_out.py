@@ -5,15 +5,25 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from diagnosis.evidence.evidence_finder import EvidenceFinder
-from diagnosis.evidence.held_out import blocks_of, left_out, rest
+from diagnosis.evidence.held_out import blocks_of, cycles_of, left_out, rest
+from estimation.data.table import table
 from estimation.path_model import PATH_MODEL
 from estimation.posterior import mode
 from physics.laws import Array
 from tests.hidden.family import Job, case
 
 BENCH = Job(39, (), 9, cycles=5)
+
+
+@pytest.mark.parametrize(("length_s", "blocks"), [
+    (2.9, [1.0, 1.9]), (3.3, [1.1, 1.1, 1.1]), (5.0, [1.67, 1.67, 1.66]), (7.9, [2.0, 2.0, 3.9])])
+def test_a_trial_without_cycle_numbers_has_three_blocks_from_3_s_on(length_s: float, blocks: list[float]) -> None:
+    time_s = np.arange(0.0, length_s, 1e-3)
+    _, rows = np.unique(cycles_of(table("a.csv", {"time_s": time_s, "tension_start_n": time_s})), return_counts=True)
+    np.testing.assert_allclose(1e-3 * rows, blocks, atol=0.01)
 
 
 def test_a_cycle_that_is_left_out_is_predicted_as_by_a_fit_without_it() -> None:
