@@ -30,7 +30,8 @@ class TrialModes:
     `prior`: prior of the session at the minimum of the best effect.  `variants`: the variant that each effect of
     `single` was fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since
     their best value is outside their bounds.  `session_priors`: log probability and prior of each scatter between
-    sessions over which evidence is averaged (none: that of `prior` alone).
+    sessions over which evidence is averaged (none: that of `prior` alone).  `each_dispersed`: each effect has the
+    overdispersion that it leaves, not that of the best one.
     """
 
     observed: SessionData
@@ -43,6 +44,7 @@ class TrialModes:
     paired: dict[str, Variant] = field(default_factory=dict)
     refused: set[str] = field(default_factory=set)
     session_priors: Sequence[tuple[float, Gaussian]] = ()
+    each_dispersed: bool = False
 
     def gains(self) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each candidate against the null, best first."""
@@ -53,10 +55,13 @@ class TrialModes:
         return self._against(self.single[name], {b: at for (a, b), at in self.pair.items() if a == name})
 
     def _against(self, base: PosteriorMode, offered: Mapping[str, PosteriorMode]) -> dict[str, float]:
-        """Return the log Bayes factor, nats, of each candidate against `base`, over the best mode's overdispersion."""
+        """Return the log Bayes factor, nats, of each candidate against `base`, over the best mode's overdispersion.
+
+        Of a pair beside one reference trial it is that of the better of candidate and `base`.
+        """
         candidates = {name: at for name, at in offered.items() if name not in self.refused}
-        scale = self.overdispersion(base, *candidates.values())
-        found = {name: (at.log_evidence - base.log_evidence) / scale for name, at in candidates.items()}
+        found = {name: (at.log_evidence - base.log_evidence) / self.overdispersion(base, *(
+            (at,) if self.each_dispersed else candidates.values())) for name, at in candidates.items()}
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
     def overdispersion(self, *modes: PosteriorMode) -> float:

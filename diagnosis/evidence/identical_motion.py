@@ -63,7 +63,10 @@ def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: S
     if pair is None:
         return search(observed, fit.prior_of(observed), fit, fit.session_priors_of(observed)), None
     # the pair's prior is about one reference trial's mode, which no other minimum of all of them changes
-    return search(pair.observed, pair.prior, replace(fit, joint_minimum=None), pair.session_priors), pair
+    found = search(pair.observed, pair.prior, replace(fit, joint_minimum=None), pair.session_priors)
+    # what the model misses repeats, so that what an effect leaves is the effect's: creep left more of a stiffer rope
+    found.each_dispersed = len(fit.identified) == 1
+    return found, pair
 
 
 def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int, odds: float = 20.0
