@@ -60,11 +60,11 @@ def _refuse_unwritable(path: Path) -> None:
 
 @contextmanager
 def restored_unless_written(output: Path, side: Path | None = None) -> Iterator[bool]:
-    """Move existing files aside while the block writes them anew, and move them back if it leaves no `output`.
+    """Move existing files aside while the block writes them anew, and move them back if `output` is then missing.
 
-    If it leaves one, the old files are deleted. `side`: a file that belongs to `output`. Yields whether an `output`
-    was there. A killed process leaves the old files in folders beside them, `.old-NAME-…`.  Raises `InputError` for a
-    file that cannot be moved.
+    If it is there, the old files are deleted. `side`: a file that belongs to `output`. Yields whether an `output`
+    was there. After a killed process the old files are in folders beside them, `.old-NAME-…`.
+    Raises `InputError` for a file that cannot be moved.
     """
     aside = dict[Path, Path]()
     try:

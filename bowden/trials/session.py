@@ -317,7 +317,7 @@ def _performed(
     prepared: PreparedTrial, output: Path, truth: Path | None, picture: Path | None, *, older: bool,
     overwrite: bool, progress: Progress, announce: str, watch: Sequence[Watch],
 ) -> dict[str, Any]:
-    """Run the experiment as `perform` describes; leave no file of a run without a control cycle.
+    """Run the experiment as `perform` describes; a run without a control cycle has no file.
 
     `older`: a trial of the output's name was moved aside; it stays if this one stops before the end of homing.
     """

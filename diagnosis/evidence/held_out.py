@@ -200,7 +200,8 @@ def cycles_of(table: Table, block_s: float = 2.0, least_s: float = 1.0) -> Array
     if "cycle" in table:
         return np.asarray(np.floor(np.nan_to_num(table["cycle"])))
     passed = table["time_s"] - table["time_s"][0]
-    blocks = np.floor(passed / min(block_s, max(least_s, 0.333 * passed[-1])))
+    third_s = 0.333 * passed[-1]  # a little less than a third, so that rounding takes no block away
+    blocks = np.floor(passed / min(block_s, max(least_s, third_s)))
     return np.asarray(np.minimum(blocks, max(blocks[-1] - 1.0, 0.0)))
 
 

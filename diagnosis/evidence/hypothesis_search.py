@@ -31,7 +31,7 @@ class TrialModes:
     `single` was fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since
     their best value is outside their bounds.  `session_priors`: log probability and prior of each scatter between
     sessions over which evidence is averaged (none: that of `prior` alone).  `each_dispersed`: each effect has the
-    overdispersion that it leaves, not that of the best one.
+    overdispersion of its own mode, not that of the best one.
     """
 
     observed: SessionData
@@ -57,7 +57,7 @@ class TrialModes:
     def _against(self, base: PosteriorMode, offered: Mapping[str, PosteriorMode]) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each candidate against `base`, over the best mode's overdispersion.
 
-        Of a pair beside one reference trial it is that of the better of candidate and `base`.
+        With `each_dispersed` it is that of the better of candidate and `base`.
         """
         candidates = {name: at for name, at in offered.items() if name not in self.refused}
         found = {name: (at.log_evidence - base.log_evidence) / self.overdispersion(base, *(

@@ -64,7 +64,7 @@ def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: S
         return search(observed, fit.prior_of(observed), fit, fit.session_priors_of(observed)), None
     # the pair's prior is about one reference trial's mode, which no other minimum of all of them changes
     found = search(pair.observed, pair.prior, replace(fit, joint_minimum=None), pair.session_priors)
-    # what the model misses repeats, so that what an effect leaves is the effect's: creep left more of a stiffer rope
+    # the model's error repeats, so that a departure that is left is the effect's own, not one that all effects share
     found.each_dispersed = len(fit.identified) == 1
     return found, pair
 
