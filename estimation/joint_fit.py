@@ -103,6 +103,7 @@ class _Fit:
     """State of the reference fit: joint mode of bench and trials, linearised trials, model error, scaling.
 
     `bench` and `at`: departure of the bench and of each trial from the origin, constants first, then feature weights.
+    `common`: common factor κ² on the variances of the model's `scattered` constants between sessions.
     """
 
     bench: Array
@@ -127,7 +128,7 @@ class _Fit:
         self.tau = np.ones(len(self.outputs))
         self.scatter_n: dict[str, float] = {}
         self.linear: list[_Linear] = []
-        self.contradicted = 0.0
+        self.contradicted, self.common = 0.0, 1.0
         self.identified: list[tuple[Array, Array]] = []
         self.wide = Gaussian(self.origin, np.zeros(len(self.free)), np.diag(self.bench_sd**2))
         self.alone: list[Array] = []
@@ -280,7 +281,8 @@ class _Fit:
         rows = [k for k, i in enumerate(self.free) if names[i] in self.model.scattered]
         at = [self.free[k] for k in rows]
         prior = self._stated(self.model.session_at(self.origin))[at] ** 2
-        self.session_sd[at] = np.sqrt(prior * self._common_factor(at, prior))
+        self.common = self._common_factor(at, prior)
+        self.session_sd[at] = np.sqrt(prior * self.common)
         deviation, left = np.sqrt(self._session()), np.zeros(len(rows))
         for linear in self.linear:
             inner = np.linalg.inv(np.eye(deviation.size) + deviation[:, None] * linear.information * deviation)
@@ -321,8 +323,12 @@ class _Fit:
         if not at:
             return ()
         sd, middle, logs = self.session_sd.copy(), self._joint(range(len(self.trials)))[0].mean, np.arange(-3.0, 2.0)
+        # the common factor of constants that are scattered, too, is averaged over in place of its mean
+        scattered = [name in self.model.scattered for name in self.model.structural]
+        unscaled = sd[at] / np.sqrt(np.where(scattered, self.common, 1.0))
         found = [(float(log), nats, self._further(replace(bench, mean=stated.mean + bench.mean - middle)),
-                  self._session()) for log, (bench, nats) in zip(logs, self._by_factor(at, sd[at], logs), strict=True)]
+                  self._session())
+                 for log, (bench, nats) in zip(logs, self._by_factor(at, unscaled, logs), strict=True)]
         self.session_sd = sd
         whole = float(logsumexp([nats for log, nats, _, _ in found if log <= 0.0]))
         return tuple(SessionPrior(log, nats - whole, prior, session) for log, nats, prior, session in found)

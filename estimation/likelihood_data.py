@@ -48,7 +48,8 @@ class Recording:
     along: Mapping[str, Array]
 
     def __init__(self, table: Table, outputs: Sequence[str], lowpass_hz: float = LOWPASS_HZ,
-                 skip_s: float = START_S) -> None:
+                 skip_s: float = START_S, motion_hz: float = LOWPASS_HZ) -> None:
+        """Sample `outputs` of a trial; `motion_hz`: cut-off of its motion, `skip_s`: time left out at the start."""
         time = table["time_s"]
         self.lowpass_hz, self.width = lowpass_hz, round(4.0 * LOWPASS_HZ / lowpass_hz)
         self.rate = 1.0 / float(np.median(np.diff(time)))
@@ -59,15 +60,16 @@ class Recording:
         self.time_s: Array = self._grid - self._grid[0]
         self.progress: Array = self.time_s / self.time_s[-1]
         self._gaps = _gaps(time)
-        self.rows = self._recorded(round(skip_s / GRID_S / self.width))
+        self.rows = self._recorded(round(skip_s / GRID_S / self.width), round(LOWPASS_HZ / motion_hz * 4 / self.width))
         self.outputs = tuple(outputs)
         self._signals = {name: self.sampled(name) for name in self.outputs}
         self.noise_n = {name: _noise(table[name], self) for name in self.outputs}
 
-    def _recorded(self, skip: int, bridged_s: float = 0.1) -> NDArray[np.intp]:
+    def _recorded(self, skip: int, edge: int, bridged_s: float = 0.1) -> NDArray[np.intp]:
         """Return the numbers of the bins without `skip` ones at the start, and without those that a gap touches.
 
-        A bin on either side of a gap is left out, too, since a low-pass spreads the edge.  Through a gap of up to
+        `edge` bins on either side of a gap, at least one, are left out, too: a low-pass spreads the edge over four of
+        its time constants.  Through a gap of up to
         `bridged_s` the friction states follow a line, since no reversal is as short.  After a longer gap they are
         unknown again, as at the start.
         """
@@ -75,8 +77,9 @@ class Recording:
         kept = np.arange(self.time_s.size // self.width) >= skip
         for row in self._gaps:
             first, last = time[row], time[row + 1]
-            after = 1 + (skip if last - first > bridged_s else 0)
-            kept[max(0, int(first / bin_s) - 1):int(last / bin_s) + 1 + after] = False
+            before = max(1, edge)
+            after = before + (skip if last - first > bridged_s else 0)
+            kept[max(0, int(first / bin_s) - before):int(last / bin_s) + 1 + after] = False
         return np.flatnonzero(kept)
 
     def sampled(self, name: str, cutoff_hz: float | None = None) -> Array:
@@ -94,6 +97,22 @@ class Recording:
             at.append(even[:part.size])
             smooth.append(sosfiltfilt(sos, part, padlen=min(3 * (2 * len(sos) + 1), part.size - 1)))
         return np.asarray(np.interp(self._grid, np.concatenate(at), np.concatenate(smooth)))
+
+    def slope(self, values: Array) -> Array:
+        """Return the derivative by time of `values` on the time grid, a line within a gap.
+
+        Across a gap's edge the corner of the line would be an acceleration that no row has.
+        """
+        time, out = self._table["time_s"], np.empty_like(values)
+        recorded = np.ones(values.size, bool)
+        for row in self._gaps:
+            recorded[np.searchsorted(self._grid, time[row], "right"):np.searchsorted(self._grid, time[row + 1])] = False
+        edges = np.flatnonzero(np.diff(recorded.astype(int))) + 1
+        for part in np.split(np.arange(values.size), edges):
+            recorded[part] &= part.size > 1
+            if recorded[part[0]]:
+                out[part] = np.gradient(values[part], GRID_S)
+        return np.asarray(np.interp(self._grid, self._grid[recorded], out[recorded]))
 
     @cached_property
     def phase(self) -> Array | None:
@@ -138,9 +157,9 @@ class PathRecording(Recording):
     def __init__(self, table: Table) -> None:
         super().__init__(table, [name for name in SIGNALS if name in table])
         self.rope_m, self.knee_rad = self.sampled("servo_position_m"), self.sampled("knee_angle_rad")
-        self.rope_m_s = np.gradient(self.rope_m, GRID_S)
-        self.rope_m_s2 = np.gradient(self.rope_m_s, GRID_S)
-        self.knee_rad_s2 = np.gradient(np.gradient(self.knee_rad, GRID_S), GRID_S)
+        self.rope_m_s = self.slope(self.rope_m)
+        self.rope_m_s2 = self.slope(self.rope_m_s)
+        self.knee_rad_s2 = self.slope(self.slope(self.knee_rad))
         self.start_n = self.measured("tension_start_n")
         self.ratio = self._ratio()
         if "tension_end_n" in self.noise_n:  # the datum is END less the ratio times START

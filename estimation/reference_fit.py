@@ -180,13 +180,16 @@ class ReferenceFit:
         return replace(self.prior, covariance=self.prior.covariance + np.diag(self._unseen(observed) * session))
 
     def session_priors_of(self, observed: SessionData) -> list[tuple[float, Gaussian]]:
-        """Return log probability and prior of each scatter up to the stated one for the session `observed`, as
-        `prior_of`; a larger one counts as overdispersion, and one reference trial shows none."""
+        """Return log probability and prior of each scatter for the session `observed`, as `prior_of`.
+
+        On a bench a scatter above the stated one counts as overdispersion.  One reference trial shows none.
+        """
         if len(self.identified) < 2:
             return []
         growth = self._unseen(observed)
         return [(nats, replace(prior, covariance=prior.covariance + np.diag(growth * session)))
-                for log_factor, nats, prior, session in self.session_priors if log_factor <= 0.0]
+                for log_factor, nats, prior, session in self.session_priors
+                if log_factor <= 0.0 or self.model.pools_sessions]
 
     def _unseen(self, observed: SessionData) -> Array:
         """Return the growth of the session's variances with motion beyond the references', constants first."""

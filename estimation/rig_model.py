@@ -33,6 +33,7 @@ from physics.forward.rig_constants import (
     END,
     FORCE,
     JOINT,
+    REPEATED,
     START,
     RigColumns,
     RigScale,
@@ -61,18 +62,19 @@ class RigRecording(Recording):
         # after half a stroke friction no longer depends on the motion before the trial
         time = table["time_s"] - table["time_s"][0]
         settled = max(time[np.searchsorted(gone, 0.5 * np.ptp(at))], 0.5 * START_S)
-        super().__init__(table, outputs, 0.5 * LOWPASS_HZ, min(settled, 0.3 * time[-1]))
+        super().__init__(table, outputs, 0.5 * LOWPASS_HZ, min(settled, 0.3 * time[-1]), motion_hz)
         self.x = self.sampled("servo_position_m", motion_hz)
-        self.v = np.gradient(self.x, GRID_S)
-        self.a = np.gradient(self.v, GRID_S)
+        self.v = self.slope(self.x)
+        self.a = self.slope(self.v)
         angles = np.cumsum([self.x if name == joint else self.sampled(f"{name}.servo_position_m", motion_hz)
                             for name in joints], axis=0)
-        rates = np.gradient(angles, GRID_S, axis=1)
-        self.links = np.stack([angles, rates, np.gradient(rates, GRID_S, axis=1)])
+        rates = np.stack([self.slope(angle) for angle in angles])
+        self.links = np.stack([angles, rates, [self.slope(rate) for rate in rates]])
         self.motion = RigMotion(self.x, self.v, self.a, self.progress, self.links)
         self.inputs = {name: self.sampled(name, LOWPASS_HZ) for name in (START, END, JOINT) if name in table}
         self.along = {"rope_m_s": self.v, "servo_position_m": self.x, **self.inputs}
-        stands = self.binned(_stands(at, self.x, table["time_s"])) > 0.0
+        self.count = _count(at, self.x, table["time_s"])
+        stands = self.binned(_stands(self.x, self.count)) > 0.0
         self.stands = stands & ~stands.all()
         self._smoother = butter(2, self.lowpass_hz, fs=1.0 / GRID_S, output="sos")
         self.data = np.concatenate([self.binned(self.measured(name)) for name in self.outputs])
@@ -138,7 +140,7 @@ Taken = RigRecording | RigSession
 class RigModel(ForwardModel):
     """Forward model of the rig of the reference trials `tables`; the module lists its outputs.
 
-    `sense`: −1 if friction lowers START as the position grows, else 1.
+    `sense`: −1 if friction lowers START as the position grows, else 1.  `rubbed`: outputs that friction changes.
     """
 
     amounts: Mapping[str, tuple[str, float]] = {"rest_speed": ("rest", 0.1), "drive_rest_speed": ("drive_rest", 0.1)}
@@ -168,15 +170,15 @@ class RigModel(ForwardModel):
         self.rig = RigColumns(self.outputs, self.turning, self.has_end, self.sprung, self.angled, self.loaded,
                               all(t.volts for t in tables), tables[0].joints, tables[0].joint)
         self.states = 5 + len(self.rig.joints)
+        self.rubbed = tuple(name for name in self.outputs if name == FORCE or (name == START and self.has_end))
         self.signals = {name: "rad" if name == JOINT else self.rig.unit("N") for name in self.outputs}
         self.judged = tuple(name for name in self.outputs if name != JOINT)
         if not self.outputs:
             return
         offered = cutoffs_hz if FORCE in has else cutoffs_hz[:1]
-        left = np.abs([self._size(tables, hz) for hz in offered])
-        moves = np.isfinite(left).all(axis=0)
         # the median, since what is left at reversals says little of the rest
-        median = np.median(left[:, moves], axis=1) if moves.any() else np.ones(len(offered))
+        left = [np.abs(errors[np.isfinite(errors)]) for errors in (self._size(tables, hz) for hz in offered)]
+        median = np.array([np.median(each) if each.size else 1.0 for each in left])
         self._size(tables, offered[int(np.argmax(median <= (1.0 + alike) * median.min()))])
 
     def _size(self, tables: Sequence[Table], motion_hz: float) -> Array:
@@ -188,13 +190,16 @@ class RigModel(ForwardModel):
         self.scale = self._scaled(tables)
         self.least = {n: 0.003 * s for n, s in self.scale.spread.items()}
         self.constants = table_of(self.rig, self.scale)
-        self.scattered = tuple(n for n in self.constants.names if is_of_friction(n))
         self.hypotheses = self._hypotheses()
         self.sense, every = 1.0, RigSession([self.record(t) for t in tables])
         if self.has_end:
             self.sense = self._sense(every)
         self.regressed = tuple(n for n in self.constants.names if is_regressed(n))
         origin = self.origin(every)
+        # an inertia of about 0 is lifted in the prior of a trial, which a smaller 1σ than stated would contradict
+        acts = self.constants.lifted(origin) == origin
+        self.scattered = self.structural = tuple(
+            n for n in self.constants.names if is_of_friction(n) or (n in REPEATED and acts[self.constants.index[n]]))
         left = self.errors(every, every.data - self.predict(origin[:, None], every)[0])
         left = {n: np.where(self.unpredicted(origin, every, n) < np.inf, left[n], np.nan) for n in self.outputs}
         self.first_noise = {n: max(float(np.nanstd(left[n])), self.least[n]) for n in self.outputs}
@@ -256,7 +261,7 @@ class RigModel(ForwardModel):
             spread[name] = max(float(np.sqrt(np.mean([np.var(o) for o in own]))), 1e-9)
             peak[name] = max(float(np.abs(t[name]).max()) for t in tables)
         return RigScale(float(np.mean([np.ptp(m.x) for m in made])) or 1.0, rms([m.v for m in made]),
-                        rms([m.a for m in made]), rms(ends), rms(joints), spread, peak)
+                        rms([m.a for m in made]), rms(ends), rms(joints), max(m.count for m in made), spread, peak)
 
     def _hypotheses(self) -> dict[str, Hypothesis]:
         made: dict[str, Hypothesis] = {}
@@ -406,7 +411,7 @@ class RigModel(ForwardModel):
             for name in moved:
                 sin, cos = found.pop(f"sin {name}"), found.pop(f"cos {name}")
                 weight, phase = gravity_of(name, self.rig)
-                found |= {weight: max(float(np.hypot(sin, cos)), 0.02 * self.scale.spread[FORCE]),
+                found |= {weight: max(float(np.hypot(sin, cos)), 1e-3 * self.scale.spread[FORCE]),
                           phase: float(np.arctan2(cos, sin))}
         dry, viscous = told[len(columns):]
         return {**found, "drive_travel": travel, **self._sized("drive_", (dry, 0.0, viscous))}
@@ -443,11 +448,11 @@ class RigModel(ForwardModel):
         return session_sd(self.constants, q)
 
     def unpredicted(self, q: Array, trial: Taken, name: str) -> Array:
-        """Return infinity where the axis stands, for the drive force, else 0.
+        """Return infinity where the axis stands, for a force that friction changes, else 0.
 
         While an axis stands, its friction is anywhere up to the static value.
         """
-        return np.where(trial.stands & (name == FORCE), np.inf, 0.0)
+        return np.where(trial.stands & (name in self.rubbed), np.inf, 0.0)
 
     def growth(self, trial: Taken, name: str, signal: Array) -> float:
         """Return the factor, at least 1, by which the model error's variance grows with the `signal` of an output."""
@@ -469,16 +474,21 @@ class RigModel(ForwardModel):
         return 1.0 if name == JOINT else float(np.var(signal))
 
 
-def _stands(position: Array, smooth: Array, time_s: Array, window_s: float = 0.2) -> Array:
-    """Return 1 where an axis moves by less than two counts of its encoder in the `window_s` around, else 0.
+def _count(position: Array, smooth: Array, time_s: Array) -> float:
+    """Return the step of an encoder: √12 times the RMS of what the low-pass takes off, as that of rounding.
 
-    `position`: at the times `time_s`.  `smooth`: low-passed, on the time grid.  A count is √12 times the RMS of what
-    the low-pass takes off, as that of rounding.
+    `position`: at the times `time_s`.  `smooth`: low-passed, on the time grid.
     """
+    grid = time_s[0] + GRID_S * np.arange(smooth.size)
+    rounding = (position - np.interp(time_s, grid, smooth))[time_s <= grid[-1]]
+    return float(np.sqrt(12.0 * np.mean(rounding**2)))
+
+
+def _stands(smooth: Array, count: float, window_s: float = 0.2) -> Array:
+    """Return 1 where an axis moves by less than two counts of its encoder in the `window_s` around, else 0."""
     size = round(window_s / GRID_S) | 1
     moved = maximum_filter1d(smooth, size) - minimum_filter1d(smooth, size)
-    rounding = position - np.interp(time_s, time_s[0] + GRID_S * np.arange(smooth.size), smooth)
-    return np.asarray(moved < 2.0 * np.sqrt(12.0 * np.mean(rounding**2)), np.float64)
+    return np.asarray(moved < 2.0 * count, np.float64)
 
 
 def _rest(signal: Array, columns: Sequence[Array]) -> Array:

@@ -9,6 +9,8 @@ shares, one of four repeats of that seal is named.
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from physics.forward.constant_table import ConstantTable, ModelConstant
 from physics.laws import Array
 
@@ -27,7 +29,8 @@ class RigScale(NamedTuple):
     """Sizes of the signals over the reference trials, in the units of the signals.
 
     `stroke`: mean span of the position.  `speed`, `acceleration`, `end`: RMS.  `joint`: RMS of the joint angle about
-    its mean.  `spread` and `peak`: standard deviation and largest absolute value by output.
+    its mean.  `count`: step of the encoder.  `spread` and `peak`: standard deviation and largest absolute value by
+    output.
     """
 
     stroke: float
@@ -35,6 +38,7 @@ class RigScale(NamedTuple):
     acceleration: float
     end: float
     joint: float
+    count: float
     spread: Mapping[str, float]
     peak: Mapping[str, float]
 
@@ -72,8 +76,10 @@ class RigColumns(NamedTuple):
 BOUNDS: Final = {
     "load_share": (-0.5, 1.5), "viscous_share": (-0.5, 1.5), "drive_load_share": (-0.5, 1.5),
     "drive_viscous_share": (-0.5, 1.5), "rest": (-0.7, 3.0), "drive_rest": (-0.7, 3.0),
-    "drive_asymmetry": (-0.9, 0.9), "demand_gain": (0.3, 3.0), "drift": (-0.95, 3.0)}
-"""Bounds that keep friction positive."""
+    "drive_asymmetry": (-0.9, 0.9), "demand_gain": (0.3, 3.0), "drift": (-0.95, 3.0), "unbalance": (-9.0, 3.0)}
+"""Bounds that keep friction positive, and that let a motor without gravity have none."""
+TRAVEL: Final = 1e-2
+"""Typical pre-sliding distance, relative to the stroke."""
 REGRESSED: Final = frozenset({
     "friction", "drive_friction", "ratio", "offset", "spring", "stiffness", "arm", "zero", "inertia", "drive_offset",
     "unbalance", "unbalance_phase", "drive_spring", "joint_zero", "joint_ratio", "give", "give_end"})
@@ -83,6 +89,11 @@ RELATIVE_SD: Final = {"inertia": 0.02, "give": 0.03, "give_end": 0.03, "joint_ra
 OF_FRICTION: Final = ("friction", "load_share", "viscous_share", "travel", "rest", "rest_speed", "asymmetry",
                       "viscous_asymmetry")
 """Constants of friction, at START and, with `drive_` before it, of the drive."""
+SHARES: Final = ("load_share", "viscous_share")
+REPEATED: Final = frozenset({"inertia", "unbalance", "stiffness"})
+"""Constants beside friction whose scatter between sessions the reference trials show.
+
+Not the gain of the force: where friction is most of it, trials of one day do not tell the two apart."""
 LINK, BETWEEN, WEIGHT, WEIGHT_ANGLE = "link_", "between_", "weight_", "weight_angle_"
 """Beginnings of the names of an arm's constants; one joint follows, or two."""
 
@@ -108,7 +119,10 @@ def table_of(rig: RigColumns, scale: RigScale) -> ConstantTable:
         rows += [*_friction("drive_", FORCE, rig.turning or rig.loaded, scale), *_drive(rig, scale)]
     if rig.angled:
         rows += _joint(scale)
-    return ConstantTable([row._replace(unit=rig.unit(row.unit)) for row in rows], BOUNDS)
+    # a motor turns by 10 rad and more, and its pre-sliding distance may be 1 mrad; below a count it is not to be seen
+    least = float(np.log(max(scale.count, 1e-5 * scale.stroke) / (TRAVEL * scale.stroke)))
+    travels = {name: (min(least, -1.0), 3.0) for name in ("travel", "drive_travel")}
+    return ConstantTable([row._replace(unit=rig.unit(row.unit)) for row in rows], {**BOUNDS, **travels})
 
 
 def session_sd(table: ConstantTable, q: Array) -> Array:
@@ -118,6 +132,10 @@ def session_sd(table: ConstantTable, q: Array) -> Array:
         share = RELATIVE_SD.get("inertia" if name.startswith((LINK, BETWEEN)) else name)
         if share is not None:
             sd[at] = max(share * abs(given[name]), 1e-3 * table.bench_sd[at])
+        if name.endswith(SHARES):
+            # parts that scatter alike change a share s by s·(1 − s) times that, which is 0.1 at a half
+            part = min(max(given[name], 0.05), 0.95)
+            sd[at] = 4.0 * table.session_sd[at] * part * (1.0 - part)
     return sd
 
 
@@ -128,7 +146,7 @@ def _friction(prefix: str, output: str, load: bool, scale: RigScale) -> Sequence
         row(prefix + "load_share", "", 0.0, "linear", 0.4 if load else 0.0, 0.1, "share of it that load carries",
             step=0.02),
         row(prefix + "viscous_share", "", 0.0, "linear", 0.4, 0.1, "share of it that speed carries"),
-        row(prefix + "travel", "m", 1e-2 * scale.stroke, "log", 2.0, 0.2, "pre-sliding distance"),
+        row(prefix + "travel", "m", TRAVEL * scale.stroke, "log", 2.0, 0.2, "pre-sliding distance"),
         row(prefix + "rest", "", 0.0, "linear", 0.4, 0.1, "static over sliding friction, less 1"),
         row(prefix + "rest_speed", "m/s", 0.2 * scale.speed, "log", 1.0, 0.1, "Stribeck speed"),
     ]

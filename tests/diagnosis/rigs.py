@@ -169,8 +169,8 @@ def two_link_arm(seed: int, tip_kg: float = 0.0, elbow_coulomb: float = 0.25, ra
     torque1 = ((near + far + 2.0 * bend * np.cos(second)) * a1 + (far + bend * np.cos(second)) * a2
                - bend * np.sin(second) * (2.0 * w1 * w2 + w2**2) + weight1 + 0.02 * a1)
     torque2 = (far + bend * np.cos(second)) * a1 + far * a2 + bend * np.sin(second) * w1**2 + weight2 + 0.01 * a2
-    torque1 += _dragged(first, w1, Friction(0.5, 0.15, bristle=3e-3).row())
-    torque2 += _dragged(second, w2, Friction(elbow_coulomb, 0.08, bristle=3e-3).row())
+    torque1 += dragged(first, w1, Friction(0.5, 0.15, bristle=3e-3).row())
+    torque2 += dragged(second, w2, Friction(elbow_coulomb, 0.08, bristle=3e-3).row())
     return _timed({
         "shoulder.servo_position_rad": sensed(first, rate_hz, rng, grid=1e-4),
         "elbow.servo_position_rad": sensed(second, rate_hz, rng, grid=1e-4),
@@ -190,14 +190,14 @@ def seal(seed: int, coulomb: float = 12.0, viscous: float = 150.0, rest: float =
     rub = Friction(day * coulomb, viscous, 0.0, 0.0, rest, 0.006, 1.5e-4)
     target = strokes(0.03, speeds, 0.4, 0.3)
     speed = np.gradient(target, STEP_S)
-    force = _dragged(target, speed, rub.row()) + 0.1 * rng.standard_normal()
+    force = dragged(target, speed, rub.row()) + 0.1 * rng.standard_normal()
     return _timed({
         "servo_position_m": sensed(target + 0.02 + 2e-3 * rng.random(), rate_hz, rng, 3e-7, 5e-7),
         "servo_force_n": sensed(force, rate_hz, rng, 0.08, 0.005, 50.0)}, rate_hz)
 
 
 @njit(cache=True)
-def _dragged(position: Array, speed: Array, f: Array) -> Array:
+def dragged(position: Array, speed: Array, f: Array) -> Array:
     """Return the friction of a rod whose motion is imposed."""
     force, z = np.empty(position.size), 0.0
     for k in range(position.size):
@@ -283,7 +283,7 @@ def motor(seed: int, coulomb: float = 0.5, viscous: float = 0.02, inertia: float
     speed = np.convolve(target, ramp / ramp.sum(), "same")
     angle = np.cumsum(speed) * STEP_S
     day = 1.0 + session * rng.standard_normal(2)
-    torque = inertia * np.gradient(speed, STEP_S) + _dragged(angle, speed, Friction(
+    torque = inertia * np.gradient(speed, STEP_S) + dragged(angle, speed, Friction(
         day[0] * coulomb, day[1] * viscous, bristle=1e-3).row())
     return _timed({"servo_position_rad": sensed(angle, rate_hz, rng, grid=2.0 * math.pi / 4096),
                    "servo_torque_nm": sensed(torque, rate_hz, rng, 0.03, 1e-4)}, rate_hz)

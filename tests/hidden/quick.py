@@ -19,10 +19,10 @@ CYCLES, HEALTHY = 8, 2
 PATH = {
     "cable_bend": 53000, "cable_friction": 50001, "drum_eccentricity": 51002, "fabric_creep": 51003,
     "fabric_friction": 50004, "fabric_wrap": 51005, "friction_drift": 50006, "knee_backlash": 50007,
-    "load_dependent_friction": 50008, "moment_arm": 51009, "presliding": 51010, "slack": 50011, "stiffness": 51012,
-    "stribeck": 50013, "viscous_friction": 53014}
+    "load_dependent_friction": 50008, "moment_arm": 51009, "presliding": 51010, "slack": 51011, "stiffness": 52012,
+    "stribeck": 50013, "viscous_friction": 56014}
 SENSED = {
-    "drive_asymmetry": 50100, "drive_coulomb": 52101, "drive_inertia": 50102, "drive_offset": 50103,
+    "drive_asymmetry": 52100, "drive_coulomb": 52101, "drive_inertia": 50102, "drive_offset": 50103,
     "drive_viscous": 50104, "end_delay": 50105, "end_drift": 50106, "end_filter": 50107, "end_gain": 50108,
     "end_mass": 50109, "end_offset": 50110, "start_drift": 50111, "start_gain": 50112, "start_offset": 50113,
     "timestamp_skew": 50114}
