@@ -379,7 +379,8 @@ class RigModel(ForwardModel):
     def _start_terms(self, trial: Taken, travel: float) -> dict[str, float]:
         one = np.ones_like(trial.x)
         if not self.has_end:
-            k, damp, arm, zero = _fitted(trial, START, [trial.x, trial.v, -trial.inputs[JOINT], -one])
+            # position and joint angle differ by the spring's stretch alone, a hundredth of a stroke or less
+            k, damp, arm, zero = _fitted(trial, START, [trial.x, trial.v, -trial.inputs[JOINT], -one], least=1e-4)
             k = k if k > 0.0 else self.scale.spread[START] / self.scale.stroke
             return {"stiffness": k, "damping": 0.0 * damp, "arm": arm / k, "zero": zero / k}
         end = trial.inputs[END]
@@ -496,17 +497,19 @@ def _rest(signal: Array, columns: Sequence[Array]) -> Array:
     return np.asarray(signal - design @ np.linalg.lstsq(design, signal, rcond=None)[0])
 
 
-def _fitted(trial: Taken, output: str, columns: Sequence[Array], less: Array | None = None) -> list[float]:
+def _fitted(trial: Taken, output: str, columns: Sequence[Array], less: Array | None = None, least: float = 2e-2
+            ) -> list[float]:
     """Return the coefficients of `columns` that fit an output, less a known signal, by least squares.
 
-    A drive force is fitted where the axis moves.
+    A drive force is fitted where the axis moves.  `least`: singular value, relative to the largest one, below which a
+    direction is left at 0.
     """
     signal = trial.binned(trial.measured(output) if less is None else trial.measured(output) - less)
     design = trial.smoothed(np.stack(columns))
     if output == FORCE:
         design, signal = design[:, ~trial.stands], signal[~trial.stands]
     size = np.sqrt(np.mean(design**2, axis=1)) + 1e-30
-    found = np.linalg.lstsq((design / size[:, None]).T, signal, rcond=2e-2)[0]
+    found = np.linalg.lstsq((design / size[:, None]).T, signal, rcond=least)[0]
     return [float(value) for value in found / size]
 
 

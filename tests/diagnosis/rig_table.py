@@ -127,8 +127,8 @@ def _arm(p: Sizes, motions: Sequence[Motion], rng: np.random.Generator) -> dict[
 
 def _elastic(p: Sizes, motions: Sequence[Motion], rng: np.random.Generator) -> dict[str, Array]:
     at = motions[0]
-    lever = 0.2
-    joint = (0.8 * at.x + 0.005 * np.sin(at.x / 0.05)) / lever
+    lever, middle = 0.2, 0.5 * (at.x.max() + at.x.min())  # a spring that pulls and pushes
+    joint = (middle + 0.8 * (at.x - middle) + 0.005 * np.sin(at.x / 0.05)) / lever
     spring = p["stiffness"] * (at.x - lever * joint)
     return {"servo_force_n": spring + p["inertia"] * at.a + _rub(p, at), "tension_start_n": spring,
             "knee_angle_rad": joint}
