@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
@@ -47,26 +48,29 @@ from physics.forward.rig_forces import RigMotion, dahl_states, drive_force, link
 from physics.laws import Array
 from physics.parameters import ESTIMATED
 
+WHOLE_HZ: Final = 0.5 * LOWPASS_HZ
+"""Cut-off of the outputs of a rig, Hz, where the encoder resolves the motion."""
+
 
 class RigRecording(Recording):
     """A trial of a rig on the time grid: position `x`, its derivatives `v` and `a`, and the other `inputs` by name.
 
-    Inputs are START, END and joint angle, as far as recorded.  `motion_hz`: cut-off of the motion.  `stands`: bins in
+    Inputs are START, END and joint angle, as far as recorded.  `force_hz`: cut-off of the outputs.  `stands`: bins in
     which the axis stands, none if it never moves.
     """
 
     def __init__(self, table: Table, outputs: Sequence[str], joints: Sequence[str] = ("",), joint: str = "",
-                 motion_hz: float = LOWPASS_HZ) -> None:
+                 force_hz: float = WHOLE_HZ) -> None:
         at = table["servo_position_m"]
         gone = np.cumsum(np.abs(np.diff(at, prepend=at[0])))
         # after half a stroke friction no longer depends on the motion before the trial
         time = table["time_s"] - table["time_s"][0]
         settled = max(time[np.searchsorted(gone, 0.5 * np.ptp(at))], 0.5 * START_S)
-        super().__init__(table, outputs, 0.5 * LOWPASS_HZ, min(settled, 0.3 * time[-1]), motion_hz)
-        self.x = self.sampled("servo_position_m", motion_hz)
+        super().__init__(table, outputs, force_hz, min(settled, 0.3 * time[-1]), WHOLE_HZ)
+        self.x = self.sampled("servo_position_m", LOWPASS_HZ)
         self.v = self.slope(self.x)
         self.a = self.slope(self.v)
-        angles = np.cumsum([self.x if name == joint else self.sampled(f"{name}.servo_position_m", motion_hz)
+        angles = np.cumsum([self.x if name == joint else self.sampled(f"{name}.servo_position_m", LOWPASS_HZ)
                             for name in joints], axis=0)
         rates = np.stack([self.slope(angle) for angle in angles])
         self.links = np.stack([angles, rates, [self.slope(rate) for rate in rates]])
@@ -152,12 +156,13 @@ class RigModel(ForwardModel):
     nats_factor = 0.4
     unlike_share = 0.7
 
-    def __init__(self, tables: Sequence[Table], cutoffs_hz: Sequence[float] = (LOWPASS_HZ, 20.0, 10.0, 5.0),
+    def __init__(self, tables: Sequence[Table], cutoffs_hz: Sequence[float] = (WHOLE_HZ, 10.0, 5.0),
                  alike: float = 0.05) -> None:
         """Choose outputs and constants by the columns of the reference trials.
 
-        `cutoffs_hz`: of the motion of a drive, whose acceleration from a coarse encoder is noise above some frequency.
-        Taken is the highest one whose first regression has a median error within the share `alike` of the least.
+        `cutoffs_hz`: of a drive's force, measured and predicted: the acceleration from a coarse encoder is noise above
+        some frequency.  Taken is the highest one whose first regression has a median error, over the root of the
+        cut-off as that of white noise, within the share `alike` of the least.
         """
         has = {name for name in (START, END, FORCE, JOINT) if all(name in t for t in tables)}
         self.has_end = {START, END} <= has
@@ -178,15 +183,15 @@ class RigModel(ForwardModel):
         offered = cutoffs_hz if FORCE in has else cutoffs_hz[:1]
         # the median, since what is left at reversals says little of the rest
         left = [np.abs(errors[np.isfinite(errors)]) for errors in (self._size(tables, hz) for hz in offered)]
-        median = np.array([np.median(each) if each.size else 1.0 for each in left])
+        median = np.array([np.median(each) if each.size else 1.0 for each in left]) / np.sqrt(offered)
         self._size(tables, offered[int(np.argmax(median <= (1.0 + alike) * median.min()))])
 
-    def _size(self, tables: Sequence[Table], motion_hz: float) -> Array:
-        """Set sizes, constants and first noise with a cut-off of the motion, Hz.
+    def _size(self, tables: Sequence[Table], force_hz: float) -> Array:
+        """Set sizes, constants and first noise with a cut-off of the outputs, Hz.
 
         Returns the error of the first regression relative to the spread of each output; NaN where no datum counts.
         """
-        self.motion_hz = motion_hz
+        self.force_hz = force_hz
         self.scale = self._scaled(tables)
         self.least = {n: 0.003 * s for n, s in self.scale.spread.items()}
         self.constants = table_of(self.rig, self.scale)
@@ -240,7 +245,7 @@ class RigModel(ForwardModel):
 
     def record(self, table: Table) -> RigRecording:
         """Return a trial of this rig on the time grid of the likelihood."""
-        return RigRecording(table, self.outputs, self.rig.joints, self.rig.joint, self.motion_hz)
+        return RigRecording(table, self.outputs, self.rig.joints, self.rig.joint, self.force_hz)
 
     def _scaled(self, tables: Sequence[Table]) -> RigScale:
         made = [self.record(t) for t in tables]
