@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
@@ -48,9 +47,6 @@ from physics.forward.rig_forces import RigMotion, dahl_states, drive_force, link
 from physics.laws import Array
 from physics.parameters import ESTIMATED
 
-WHOLE_HZ: Final = 0.5 * LOWPASS_HZ
-"""Cut-off of the outputs of a rig, Hz, where the encoder resolves the motion."""
-
 
 class RigRecording(Recording):
     """A trial of a rig on the time grid: position `x`, its derivatives `v` and `a`, and the other `inputs` by name.
@@ -60,13 +56,13 @@ class RigRecording(Recording):
     """
 
     def __init__(self, table: Table, outputs: Sequence[str], joints: Sequence[str] = ("",), joint: str = "",
-                 force_hz: float = WHOLE_HZ) -> None:
+                 force_hz: float = 0.5 * LOWPASS_HZ) -> None:
         at = table["servo_position_m"]
         gone = np.cumsum(np.abs(np.diff(at, prepend=at[0])))
         # after half a stroke friction no longer depends on the motion before the trial
         time = table["time_s"] - table["time_s"][0]
         settled = max(time[np.searchsorted(gone, 0.5 * np.ptp(at))], 0.5 * START_S)
-        super().__init__(table, outputs, force_hz, min(settled, 0.3 * time[-1]), WHOLE_HZ)
+        super().__init__(table, outputs, force_hz, min(settled, 0.3 * time[-1]), 0.5 * LOWPASS_HZ)
         self.x = self.sampled("servo_position_m", LOWPASS_HZ)
         self.v = self.slope(self.x)
         self.a = self.slope(self.v)
@@ -77,8 +73,8 @@ class RigRecording(Recording):
         self.motion = RigMotion(self.x, self.v, self.a, self.progress, self.links)
         self.inputs = {name: self.sampled(name, LOWPASS_HZ) for name in (START, END, JOINT) if name in table}
         self.along = {"rope_m_s": self.v, "servo_position_m": self.x, **self.inputs}
-        self.count = _count(at, self.x, table["time_s"])
-        stands = self.binned(_stands(self.x, self.count)) > 0.0
+        self.encoder_step = _encoder_step(at, self.x, table["time_s"])
+        stands = self.binned(_stands(self.x, self.encoder_step)) > 0.0
         self.stands = stands & ~stands.all()
         self._smoother = butter(2, self.lowpass_hz, fs=1.0 / GRID_S, output="sos")
         self.data = np.concatenate([self.binned(self.measured(name)) for name in self.outputs])
@@ -156,7 +152,7 @@ class RigModel(ForwardModel):
     nats_factor = 0.4
     unlike_share = 0.7
 
-    def __init__(self, tables: Sequence[Table], cutoffs_hz: Sequence[float] = (WHOLE_HZ, 10.0, 5.0),
+    def __init__(self, tables: Sequence[Table], cutoffs_hz: Sequence[float] = (0.5 * LOWPASS_HZ, 10.0, 5.0),
                  alike: float = 0.05) -> None:
         """Choose outputs and constants by the columns of the reference trials.
 
@@ -266,7 +262,8 @@ class RigModel(ForwardModel):
             spread[name] = max(float(np.sqrt(np.mean([np.var(o) for o in own]))), 1e-9)
             peak[name] = max(float(np.abs(t[name]).max()) for t in tables)
         return RigScale(float(np.mean([np.ptp(m.x) for m in made])) or 1.0, rms([m.v for m in made]),
-                        rms([m.a for m in made]), rms(ends), rms(joints), max(m.count for m in made), spread, peak)
+                        rms([m.a for m in made]), rms(ends), rms(joints), max(m.encoder_step for m in made),
+                        spread, peak)
 
     def _hypotheses(self) -> dict[str, Hypothesis]:
         made: dict[str, Hypothesis] = {}
@@ -480,7 +477,7 @@ class RigModel(ForwardModel):
         return 1.0 if name == JOINT else float(np.var(signal))
 
 
-def _count(position: Array, smooth: Array, time_s: Array) -> float:
+def _encoder_step(position: Array, smooth: Array, time_s: Array) -> float:
     """Return the step of an encoder: √12 times the RMS of what the low-pass takes off, as that of rounding.
 
     `position`: at the times `time_s`.  `smooth`: low-passed, on the time grid.
@@ -490,11 +487,11 @@ def _count(position: Array, smooth: Array, time_s: Array) -> float:
     return float(np.sqrt(12.0 * np.mean(rounding**2)))
 
 
-def _stands(smooth: Array, count: float, window_s: float = 0.2) -> Array:
-    """Return 1 where an axis moves by less than two counts of its encoder in the `window_s` around, else 0."""
+def _stands(smooth: Array, step: float, window_s: float = 0.2) -> Array:
+    """Return 1 where an axis moves by less than two steps of its encoder, `step`, in the `window_s` around, else 0."""
     size = round(window_s / GRID_S) | 1
     moved = maximum_filter1d(smooth, size) - minimum_filter1d(smooth, size)
-    return np.asarray(moved < 2.0 * count, np.float64)
+    return np.asarray(moved < 2.0 * step, np.float64)
 
 
 def _rest(signal: Array, columns: Sequence[Array]) -> Array:

@@ -29,8 +29,8 @@ class RigScale(NamedTuple):
     """Sizes of the signals over the reference trials, in the units of the signals.
 
     `stroke`: mean span of the position.  `speed`, `acceleration`, `end`: RMS.  `joint`: RMS of the joint angle about
-    its mean.  `count`: step of the encoder.  `spread` and `peak`: standard deviation and largest absolute value by
-    output.
+    its mean.  `encoder_step`: least step of the position.  `spread` and `peak`: standard deviation and largest absolute
+    value by output.
     """
 
     stroke: float
@@ -38,7 +38,7 @@ class RigScale(NamedTuple):
     acceleration: float
     end: float
     joint: float
-    count: float
+    encoder_step: float
     spread: Mapping[str, float]
     peak: Mapping[str, float]
 
@@ -93,7 +93,7 @@ SHARES: Final = ("load_share", "viscous_share")
 REPEATED: Final = frozenset({"inertia", "unbalance", "stiffness"})
 """Constants beside friction whose scatter between sessions the reference trials show.
 
-Not the gain of the force: where friction is most of it, trials of one day do not tell the two apart."""
+Not the gain of the force: where friction is most of it, trials of one day do not separate the two."""
 LINK, BETWEEN, WEIGHT, WEIGHT_ANGLE = "link_", "between_", "weight_", "weight_angle_"
 """Beginnings of the names of an arm's constants; one joint follows, or two."""
 
@@ -119,8 +119,8 @@ def table_of(rig: RigColumns, scale: RigScale) -> ConstantTable:
         rows += [*_friction("drive_", FORCE, rig.turning or rig.loaded, scale), *_drive(rig, scale)]
     if rig.angled:
         rows += _joint(scale)
-    # a motor turns by 10 rad and more, and its pre-sliding distance may be 1 mrad; below a count it is not to be seen
-    least = float(np.log(max(scale.count, 1e-5 * scale.stroke) / (TRAVEL * scale.stroke)))
+    # a motor turns by 10 rad and more, and its pre-sliding distance may be 1 mrad; below the encoder's step it is not to be seen
+    least = float(np.log(max(scale.encoder_step, 1e-5 * scale.stroke) / (TRAVEL * scale.stroke)))
     travels = {name: (min(least, -1.0), 3.0) for name in ("travel", "drive_travel")}
     return ConstantTable([row._replace(unit=rig.unit(row.unit)) for row in rows], {**BOUNDS, **travels})
 

@@ -49,4 +49,4 @@ def test_the_pre_sliding_distance_of_a_motor_that_turns_far_is_fitted() -> None:
 def test_the_step_of_an_encoder_is_that_of_its_grid() -> None:
     """The time grid ends before the recording, which must not count as rounding."""
     swung = RigModel([table("swung", rigs.pendulum(1))]).record(table("swung", rigs.pendulum(1)))
-    assert swung.count == pytest.approx(1e-4, rel=0.7)  # that of the position's own curvature is beside it
+    assert swung.encoder_step == pytest.approx(1e-4, rel=0.7)  # that of the position's own curvature is beside it
