@@ -332,20 +332,21 @@ def response(null: PosteriorMode, observed: SessionData, variant: Variant, furth
                                   [null.table.index[n] for n in names])
     column = {name: slopes[:, k] for k, name in enumerate(names)}
     effect = np.stack([d.sd * sum(share * column[n] for n, share in d.along.items()) for d in variant.directions], 1)
-    inward, off = null.inward, null.x - null.prior_mean
+    off = null.x - null.prior_mean
     error = null.residual + null.slopes @ off[:null.constants] + null.features @ off[null.constants:]
-
-    def solved(given: Array) -> Array:
-        # Woodbury's identity: C⁻¹ = W − W·HL·(I + LᵀHᵀWHL)⁻¹·LᵀHᵀ·W
-        light = null.weight[:, None] * given
-        return np.asarray(light - null.weight[:, None] * (inward @ cho_solve(null.inner, inward.T @ light)))
-
-    applied = solved(np.concatenate([error[:, None], effect], axis=1))
+    applied = whitened(null, np.concatenate([error[:, None], effect], axis=1))
     if further is not None:
         # the same identity for C + FFᵀ, F the columns of the further error
-        spread = solved(further)
+        spread = whitened(null, further)
         applied -= spread @ np.linalg.solve(np.eye(further.shape[1]) + further.T @ spread, further.T @ applied)
     return effect, applied
+
+
+def whitened(null: PosteriorMode, given: Array) -> Array:
+    """Return C⁻¹ times columns `given`, shape (data, columns); C: covariance of the data under the mode `null`."""
+    # Woodbury's identity: C⁻¹ = W − W·HL·(I + LᵀHᵀWHL)⁻¹·LᵀHᵀ·W
+    light, inward = null.weight[:, None] * given, null.inward
+    return np.asarray(light - null.weight[:, None] * (inward @ cho_solve(null.inner, inward.T @ light)))
 
 
 def slope_point(model: ForwardModel, q: Array, variant: Variant, names: Sequence[str]) -> Array:

@@ -1,45 +1,53 @@
 """Detection limits: the smallest size of each effect that trials would show.
 
-    ln B(s) = ½ s²G²/(1 + G) − ½ ln(1 + G)        G = EᵀC⁻¹E for an effect of one prior σ, s its size in prior σ
+    B(s) = Σ_κ p_κ·exp(−½ s²G/(1 + G))/√(1 + G) / Σ_κ p_κ·exp(−½ s²G)        G = EᵀC⁻¹E for an effect of one prior σ
 
-The limit is the size at which ln B, over the overdispersion, reaches the threshold of a named effect.  E: change of
-the data by the effect.  C: covariance of the data in the reference condition.  Two effects look alike if EᵀC⁻¹E' is
-close to √(G·G').
+The limit is the size s, in prior σ, at which ln B, over the overdispersion, reaches the threshold of a named effect.
+E: change of the data by the effect.  C: covariance of the data in the reference condition, for each factor κ on the
+scatter between sessions over which evidence is averaged; p_κ: the trial's probability of κ.  Two effects look alike if
+EᵀC⁻¹E' is close to √(G·G').
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import logsumexp
 
 from diagnosis.evidence.decision import threshold
 from diagnosis.evidence.hypothesis_search import hypotheses
-from estimation.posterior import PosteriorMode, SessionData, response
+from estimation.posterior import PosteriorMode, SessionData, response, whitened
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
 
-def least_size(square: float, nats: float) -> float:
-    """Return the size, in prior σ, at which ln B reaches `nats`; `square`: G of one prior σ."""
-    # the module's equation solved for s
-    return float(np.sqrt((2.0 * nats + np.log1p(square)) * (1.0 + square)) / square) if square > 0.0 else np.inf
+def least_size(nats: float, squares: Sequence[float], weights: Sequence[float] = (0.0,), most: float = 1e4) -> float:
+    """Return the size, in prior σ, at which ln B reaches `nats`; infinity if it is above `most`.
+
+    `squares`: G by scatter.  `weights`: ln p_κ by scatter, up to a constant.
+    """
+    square, weight = np.array(squares), np.array(weights)
+
+    def short(size: float) -> float:
+        # the module's equation
+        without = float(logsumexp(weight - 0.5 * size**2 * square))
+        with_it = float(logsumexp(weight - 0.5 * (size**2 * square / (1.0 + square) + np.log1p(square))))
+        return with_it - without - nats
+
+    return float(brentq(short, 0.0, most)) if short(most) > 0.0 else np.inf
 
 
 class EffectResponse(NamedTuple):
-    """Response of the data to an effect of one prior σ: E, C⁻¹E, and G = EᵀC⁻¹E."""
+    """Response of the data to an effect of one prior σ: E, C⁻¹E, and G = EᵀC⁻¹E; `size`: its limit, prior σ."""
 
     variant: Variant
     effect: Array
     applied: Array
     square: float
-    nats: float
-
-    @property
-    def size(self) -> float:
-        """Size, in prior σ, at which the log Bayes factor reaches `nats`, from which an effect is named."""
-        return least_size(self.square, self.nats)
+    size: float
 
     def alike(self, other: EffectResponse) -> float:
         """Return the share of this effect's evidence that `other`, scaled, explains."""
@@ -59,10 +67,12 @@ class DetectionLimit(NamedTuple):
 
 def detection_limits(
     observed: SessionData, null: PosteriorMode, bench: Mapping[str, float], overdispersion: float = 1.0,
+    scatters: Sequence[tuple[float, PosteriorMode]] = (),
 ) -> dict[str, DetectionLimit]:
     """Return the detection limit of each effect, at the mode `null` and the constants `bench`.
 
-    `overdispersion`: of the trial, by which log Bayes factors are divided.
+    `overdispersion`: of the trial, by which log Bayes factors are divided.  `scatters`: for each scatter between
+    sessions ln p_κ and the null under it (none: that of `null` alone).
     A limit outside the bounds of its parameter has the value None.
     """
     told: dict[str, DetectionLimit] = {}
@@ -70,7 +80,8 @@ def detection_limits(
     nats = threshold(model) * overdispersion
     for name, variants in hypotheses(observed, bench).items():
         parameter, read = next(iter(model.hypotheses[name].reads.items()))
-        best = min((_response(observed, null, variant, nats) for variant in variants), key=lambda r: r.size)
+        best = min((_response(observed, null, variant, nats, scatters or [(0.0, null)]) for variant in variants),
+                   key=lambda r: r.size)
         low, high, unit = model.limits(name, parameter)
         q, value = null.q.copy(), None
         if np.isfinite(best.size):
@@ -82,6 +93,10 @@ def detection_limits(
     return told
 
 
-def _response(observed: SessionData, null: PosteriorMode, variant: Variant, nats: float) -> EffectResponse:
-    effect, applied = response(null, observed, variant)
-    return EffectResponse(variant, effect[:, 0], applied[:, 1], float(effect[:, 0] @ applied[:, 1]), nats)
+def _response(observed: SessionData, null: PosteriorMode, variant: Variant, nats: float,
+              scatters: Sequence[tuple[float, PosteriorMode]]) -> EffectResponse:
+    effects, applied = response(null, observed, variant)
+    effect = effects[:, 0]
+    squares = [float(effect @ whitened(each, effects[:, :1])[:, 0]) for _, each in scatters]
+    return EffectResponse(variant, effect, applied[:, 1], float(effect @ applied[:, 1]),
+                          least_size(nats, squares, [weight for weight, _ in scatters]))

@@ -14,6 +14,7 @@ from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
 from diagnosis.evidence.hypothesis_search import TrialModes
 from diagnosis.evidence.identical_motion import search_trial
+from diagnosis.evidence.session_change import under
 from diagnosis.findings import Findings
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel, predicted
@@ -420,8 +421,12 @@ def _limits(found: TrialModes, bench: Mapping[str, float]) -> dict[str, Mapping[
     """Return the detection limit of each effect in these trials as published."""
     # as in the log Bayes factors: the null of a trial with a large effect departs by that effect
     scale = found.overdispersion(found.null, *(found.single[name] for name in found.gains()))
+    best, nats = next(iter(found.gains().items()), ("", 0.0))
+    at, variants = (found.single[best], [found.variants[best]]) if nats > 0.0 else (found.null, [])
+    scatters = [(weight + under(at, prior, variants).log_evidence, under(found.null, prior, ()))
+                for weight, prior in found.session_priors]
     return {name: {"parameter": limit.parameter, "value": limit.value, "unit": limit.unit}
-            for name, limit in detection_limits(found.observed, found.null, bench, scale).items()}
+            for name, limit in detection_limits(found.observed, found.null, bench, scale, scatters).items()}
 
 
 def _sd(at: PosteriorMode, read: Any) -> float:

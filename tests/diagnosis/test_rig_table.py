@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from diagnosis.evidence.detection_limits import least_size
 from diagnosis.finder import Finder
 from estimation import bench_fit
 from estimation.data.table import table
@@ -50,3 +51,25 @@ def test_the_step_of_an_encoder_is_that_of_its_grid() -> None:
     """The time grid ends before the recording, which must not count as rounding."""
     swung = RigModel([table("swung", rigs.pendulum(1))]).record(table("swung", rigs.pendulum(1)))
     assert swung.encoder_step == pytest.approx(1e-4, rel=0.7)  # that of the position's own curvature is beside it
+
+
+@pytest.mark.parametrize("square", [40.0, 400.0])
+def test_the_detection_limit_of_one_scatter_is_its_closed_form_and_of_several_lies_between(square: float) -> None:
+    alone = np.sqrt((2.0 * 4.8 + np.log1p(square)) * (1.0 + square)) / square
+    wide = least_size(4.8, [0.1 * square])
+    assert least_size(4.8, [square]) == pytest.approx(alone)
+    assert alone < least_size(4.8, [square, 0.1 * square], [0.0, -1.0]) < wide
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_change_is_named_where_it_is_above_the_detection_limit(seed: int) -> None:
+    """Seed 0: 4.3 of 4.8 nats; the limit of one scatter was 6 % there."""
+    case = Case("axis", seed)
+    finder = Finder().fit(case.reference)
+    finder.diagnose([case.trial("again.csv")])
+    told = finder.diagnose([case.trial("trial.csv", "coulomb")])
+    assert told.detection_limit is not None
+    share = told.detection_limit["drive_coulomb"]["value"] / case.sizes["coulomb"]
+    assert 0.15 / 1.2 < share < 0.15 * 1.2
+    assert bool(told.rivals) == (seed == 1)
