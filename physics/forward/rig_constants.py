@@ -131,7 +131,9 @@ def session_sd(table: ConstantTable, q: Array) -> Array:
     for name, at in table.index.items():
         share = RELATIVE_SD.get("inertia" if name.startswith((LINK, BETWEEN)) else name)
         if share is not None:
-            sd[at] = max(share * abs(given[name]), 1e-3 * table.bench_sd[at])
+            least, rounding = 1e-3 * table.bench_sd[at], table.rows[at].rounding
+            # where an inertia is about 0 the prior of a trial is lifted by 0.8 of the rounding
+            sd[at] = max(share * abs(given[name]), rounding if abs(given[name]) < 2.0 * rounding else least)
         if name.endswith(SHARES):
             # parts that scatter alike change a share s by s·(1 − s) times that, which is 0.1 at a half
             part = min(max(given[name], 0.05), 0.95)
