@@ -1,10 +1,10 @@
 """Rigs of each kind with exact laws: are changes of 15 % named, repeats quiet, and do the intervals of `fit` cover?
 
-The rule of this file: each seed draws sizes of a rig of each row of docs/rigs.md, two reference trials, a repeat, and a
-trial for each changed constant.  Motion is steady but for ramps, 0 to 3 % of the rows are lost in gaps of 60 ms, and
+The rule of this file: each seed draws sizes of a rig of each row of docs/rigs.md, its reference trials, a repeat, and
+a trial for each changed constant.  Motion is steady but for ramps, 0 to 3 % of the rows are lost in gaps of 60 ms, and
 constants of friction differ between trials by 2 % (1σ).  No code is shared with `physics`.
 
-    python -m tests.diagnosis.rig_table [--first SEED] [--count N] [--rigs NAME,…]
+    python -m tests.diagnosis.rig_table [--first SEED] [--count N] [--rigs NAME,…] [--references N] [--seeds]
 
 A change counts if it is 5σ of what noise and repeats leave by least squares with the exact law (`counts`).
 """
@@ -170,13 +170,13 @@ RIGS: dict[str, Rig] = {
 
 
 class Case:
-    """A rig of one seed: recordings of its two reference trials, and further ones with a size times a factor."""
+    """A rig of one seed: recordings of its reference trials, and further ones with a size times a factor."""
 
-    def __init__(self, name: str, seed: int) -> None:
+    def __init__(self, name: str, seed: int, references: int = 2) -> None:
         self.rig, self.lost = RIGS[name], LOST[seed % len(LOST)]
         self.rng = np.random.default_rng([seed, sorted(RIGS).index(name)])
         self.sizes = self.rig.drawn(self.rng)
-        self.reference = [self.trial(f"reference_{k}.csv") for k in (1, 2)]
+        self.reference = [self.trial(f"reference_{k}.csv") for k in range(references)]
 
     def trial(self, source: str, changed: str | None = None) -> Table:
         """Return a recording of another session, in which the size `changed` is times `CHANGE`."""
@@ -218,9 +218,9 @@ class Case:
         return bool(least * math.sqrt(1.5 * (own + REPEATS**2 * (changed in self.rig.rubs))) <= CHANGE - 1.0)
 
 
-def asked(name: str, seed: int) -> Iterator[dict[str, Any]]:
+def asked(name: str, seed: int, references: int = 2) -> Iterator[dict[str, Any]]:
     """Yield what is said of a repeat and of each change, and of the constants that `bowden fit` states."""
-    case = Case(name, seed)
+    case = Case(name, seed, references)
     finder = Finder().fit(case.reference)
     for changed in (None, *case.rig.effects):
         said = finder.diagnose([case.trial("trial.csv", changed)])
@@ -243,20 +243,21 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=6)
     parser.add_argument("--rigs", default=",".join(RIGS))
+    parser.add_argument("--references", type=int, default=2, help="reference trials of each rig")
     parser.add_argument("--seeds", action="store_true", help="print the hash of what would be asked, and end")
     options = parser.parse_args()
     seeds = range(options.first, options.first + options.count)
     names = options.rigs.split(",")
     if options.seeds:
         made = hashlib.sha256()
-        for case in (Case(name, seed) for name in names for seed in seeds):
+        for case in (Case(name, seed, options.references) for name in names for seed in seeds):
             for column in (case.reference[0].columns[c] for c in sorted(case.reference[0].columns)):
                 made.update(column.tobytes())
         print(made.hexdigest())
         return
     counted, right, wrong = Counter[tuple[str, str]](), Counter[tuple[str, str]](), Counter[tuple[str, str]]()
     for name in names:
-        for row in (row for seed in seeds for row in asked(name, seed)):
+        for row in (row for seed in seeds for row in asked(name, seed, options.references)):
             print(row, flush=True)
             key = (name, row["changed"])
             counted[key] += row["counts"]
