@@ -36,7 +36,7 @@ def test_where_a_cable_stands_its_forces_do_not_count() -> None:
 
 
 def test_the_pre_sliding_distance_of_a_motor_that_turns_far_is_fitted() -> None:
-    """It is 1e-4 of a stroke of 12 rad; held above 5e-4 of it, inertia, lag and asymmetry made up for the rest."""
+    """Held above 1.8e-4 of the stroke, lag, inertia and asymmetry made up for what it left at reversals."""
     rng, sizes = np.random.default_rng(3), {"coulomb": 0.5, "viscous": 0.02, "bristle": 1.5e-3, "inertia": 0.02}
     motion = steady((1.0, 2.0, 4.0, 6.0, 9.0, 12.0), rng)
     torque = RIGS["motor"].law(sizes, [motion], rng)["servo_torque_nm"]
