@@ -47,6 +47,18 @@ def test_the_pre_sliding_distance_of_a_motor_that_turns_far_is_fitted() -> None:
     assert fitted.constants["drive_inertia"].low < 0.02 < fitted.constants["drive_inertia"].high
 
 
+def test_no_acceleration_is_made_at_the_edges_of_lost_rows() -> None:
+    """A line across a gap has two corners, whose derivative is several times the motion's."""
+    columns = rigs.pendulum(1)
+    gaps = rigs.lossy(columns, 0.03)
+    model = RigModel([table("whole", columns)])
+    whole, lost = (model.record(table(name, given)) for name, given in (("whole", columns), ("lost", gaps)))
+    assert lost.bins < whole.bins
+    assert np.abs(lost.a).max() < 1.2 * np.abs(whole.a).max()
+    corners = np.gradient(np.gradient(lost.x, lost.time_s[1]), lost.time_s[1])
+    assert np.abs(corners).max() > 1.2 * np.abs(whole.a).max()
+
+
 def test_the_step_of_an_encoder_is_that_of_its_grid() -> None:
     """The time grid ends before the recording, which must not count as rounding."""
     swung = RigModel([table("swung", rigs.pendulum(1))]).record(table("swung", rigs.pendulum(1)))
