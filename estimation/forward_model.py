@@ -32,8 +32,9 @@ class ForwardModel(ABC):
     the estimate of the model error.  `session_share`: 1σ of the discrepancy's change between sessions, relative to the
     discrepancy.  `scattered`: constants whose scatter between sessions is estimated from the reference trials, with
     `session_at` as prior.  `structural`: constants that scatter between sessions because the bench's equations are not
-    the model's; how far is weighed by the reference trials (`session_priors`).  `surrogate_sd`: 1σ between
-    benches, in a fit of reference trials, of constants that are surrogates for model error, too.
+    the model's; how far is weighed by the reference trials (`session_priors`).  Of a rig all
+    `scattered` ones are.  `surrogate_sd`: 1σ between benches, in a fit of reference trials, of constants that are
+    surrogates for model error, too.
 
     `pools_sessions`: trials of unlike condition are one session.  `unseen`: growth of the session deviation, and of the
     detection threshold, with the motion that the reference trials do not have.  `extrapolated`: constants of equations

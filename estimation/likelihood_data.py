@@ -60,7 +60,8 @@ class Recording:
         self.time_s: Array = self._grid - self._grid[0]
         self.progress: Array = self.time_s / self.time_s[-1]
         self._gaps = _gaps(time)
-        self.rows = self._recorded(round(skip_s / GRID_S / self.width), round(LOWPASS_HZ / motion_hz * 4 / self.width))
+        edge = max(1, round(4.0 * LOWPASS_HZ / motion_hz / self.width))
+        self.rows = self._recorded(round(skip_s / GRID_S / self.width), edge)
         self.outputs = tuple(outputs)
         self._signals = {name: self.sampled(name) for name in self.outputs}
         self.noise_n = {name: _noise(table[name], self) for name in self.outputs}
@@ -68,18 +69,16 @@ class Recording:
     def _recorded(self, skip: int, edge: int, bridged_s: float = 0.1) -> NDArray[np.intp]:
         """Return the numbers of the bins without `skip` ones at the start, and without those that a gap touches.
 
-        `edge` bins on either side of a gap, at least one, are left out, too: a low-pass spreads the edge over four of
-        its time constants.  Through a gap of up to
-        `bridged_s` the friction states follow a line, since no reversal is as short.  After a longer gap they are
-        unknown again, as at the start.
+        `edge` bins on either side of a gap are left out, too: a low-pass spreads the edge over four of its time
+        constants.  Through a gap of up to `bridged_s` the friction states follow a line, since no reversal is as
+        short.  After a longer gap they are unknown again, as at the start.
         """
         time, bin_s = self._table["time_s"] - self._table["time_s"][0], self.width * GRID_S
         kept = np.arange(self.time_s.size // self.width) >= skip
         for row in self._gaps:
             first, last = time[row], time[row + 1]
-            before = max(1, edge)
-            after = before + (skip if last - first > bridged_s else 0)
-            kept[max(0, int(first / bin_s) - before):int(last / bin_s) + 1 + after] = False
+            after = edge + (skip if last - first > bridged_s else 0)
+            kept[max(0, int(first / bin_s) - edge):int(last / bin_s) + 1 + after] = False
         return np.flatnonzero(kept)
 
     def sampled(self, name: str, cutoff_hz: float | None = None) -> Array:

@@ -487,7 +487,7 @@ class RigModel(ForwardModel):
 
 
 def _step(position: Array, smooth: Array, time_s: Array) -> float:
-    """Return √12 times the RMS of what a low-pass takes off: the step of an encoder, if that is rounding.
+    """Return the step of an encoder whose rounding a low-pass takes off: √12 times the RMS of the difference.
 
     `position`: at the times `time_s`.  `smooth`: low-passed, on the time grid.
     """

@@ -30,8 +30,8 @@ class TrialModes:
     `prior`: prior of the session at the minimum of the best effect.  `variants`: the variant that each effect of
     `single` was fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since
     their best value is outside their bounds.  `session_priors`: log probability and prior of each scatter between
-    sessions over which evidence is averaged (none: that of `prior` alone).  `each_dispersed`: each effect has the
-    overdispersion of its own mode, not that of the best one.
+    sessions over which evidence is averaged (none: that of `prior` alone).  `each_dispersed`: each effect has its
+    mode's overdispersion, not that of the best one.
     """
 
     observed: SessionData

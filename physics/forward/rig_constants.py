@@ -1,8 +1,8 @@
 """Constants of a rig other than the bench, with their priors: one row a constant, sized by the rig's own signals.
 
-1σ between benches is wide, since nothing is known of such a rig.  1σ between sessions is a usual repeatability, except
-for friction: its size and its shares of load and speed are as measured on a rubber seal in five sessions, and its share
-of rest as much (repeats of a seal, a cable drive and a pendulum differ by 0.1 to 0.25).  With half of it for the
+1σ between benches is wide, since nothing is known of such a rig.  1σ between sessions is a usual repeatability.  Size
+and shares of friction are as measured on a rubber seal in five sessions.  Its share of rest is as theirs: repeats of a
+seal, a cable drive and a pendulum differ by 0.1 to 0.25.  With half of it for the
 shares, one of four repeats of that seal is named.
 """
 

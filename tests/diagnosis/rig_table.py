@@ -41,7 +41,7 @@ class Motion(NamedTuple):
 
 
 class Rig(NamedTuple):
-    """A kind of rig: `drawn`: sizes of one, by a generator; `moved`: its motions; `law`: force signals by their column.
+    """A kind of rig: `drawn`: sizes of one, by a generator; `speeds`: of its motion; `law`: force signals by column.
 
     `rubs`: sizes that differ between trials.  `effects`: names that a change of a size may have.  `constants`: name
     in `bowden fit` → size.  `noise`: 1σ and step of the force signals.  `grid`: step of the encoder.
