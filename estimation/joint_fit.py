@@ -309,6 +309,7 @@ class _Fit:
         of another's, or by three times as much.
         """
         for log in logs:
+            self.session_sd = self.session_sd.copy()  # shared with the copies of `joint_minimum`
             self.session_sd[at] = np.exp(log) * sd
             bench, nats = self._joint(range(len(self.trials)))
             yield bench, nats - 0.5 * float(log) ** 2
