@@ -14,7 +14,7 @@ from diagnosis.evidence.session_change import averaged, feature_sd, under
 from estimation.path_model import PATH_MODEL
 from estimation.posterior import Gaussian, PosteriorMode, SessionData, mode
 from estimation.reference_fit import ReferenceFit
-from tests.hidden.family import Job, case
+from tests.hidden.family import Case, Job, case
 
 BENCH = Job(39, (), 9, cycles=3)
 """In the reference condition, with one or more reference trials of other gaits."""
@@ -76,10 +76,24 @@ def test_one_reference_trial_shows_no_scatter(alone: tuple[ReferenceFit, Session
     assert len(pair_of(fit, recording, fit.observe(recording), 0, 0).session_priors) == 4
 
 
-@pytest.mark.slow
-def test_two_reference_trials_weigh_the_scatter_of_structural_constants() -> None:
+@pytest.fixture(scope="module")
+def two() -> tuple[Case, ReferenceFit]:
     made = case(BENCH)
-    fit = EvidenceFinder(made.healthy[:2]).reference([made.trial])
+    return made, EvidenceFinder(made.healthy[:2]).reference([made.trial])
+
+
+@pytest.mark.slow
+def test_a_joint_minimum_is_the_same_when_it_is_asked_again(two: tuple[Case, ReferenceFit]) -> None:
+    made, fit = two
+    assert fit.joint_minimum is not None
+    trial = PATH_MODEL.record(made.trial)
+    first, again = (fit.joint_minimum(fit, trial, fit.prior.mean) for _ in range(2))
+    assert first.nats == again.nats
+
+
+@pytest.mark.slow
+def test_two_reference_trials_weigh_the_scatter_of_structural_constants(two: tuple[Case, ReferenceFit]) -> None:
+    made, fit = two
     *narrower, at_stated, wider = fit.session_priors
     assert [each.log_factor for each in fit.session_priors] == [-3.0, -2.0, -1.0, 0.0, 1.0]
     assert sum(np.exp(each.log_probability) for each in (*narrower, at_stated)) == pytest.approx(1.0)
