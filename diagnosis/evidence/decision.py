@@ -20,12 +20,16 @@ from estimation.posterior import HUBER, SURROGATE, PosteriorMode, SessionData, o
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
-NAMED_NATS: Final = 12.0
-"""Least log Bayes factor, nats, of a named effect.
+NAMED_ODDS: Final = 20.0
+"""Least odds, to 1, of a named effect over none, where each effect of the model is as likely beforehand.
 
-If it is too low, effects are named in reference trials; if it is too high, small effects are missed."""
+If they are too low, effects are named in reference trials; if they are too high, small effects are missed."""
+CLEAR_NATS: Final = 12.0
+"""Least log likelihood ratio, nats, by which an experiment removes an effect, and of a law or a fault of the wire.
+
+Neither sessions nor overdispersion are averaged over there."""
 DOUBTED: Final = 2.0
-"""Factor where constants absorb model error: on `NAMED_NATS` of a second effect and of a name beside a lack of fit.
+"""Factor where constants absorb model error: on the threshold of a second effect and of a name beside a lack of fit.
 
 A model whose cost per datum is above that factor of the reference trials', and whose constants depart by that many
 session σ, RMS, has a lack of fit, too."""
@@ -111,7 +115,7 @@ def unnamed(found: TrialModes) -> Decision:
 
 def threshold(model: ForwardModel) -> float:
     """Return the log Bayes factor, nats, from which an effect is named in the trials of one session."""
-    return model.nats_factor * NAMED_NATS
+    return math.log(NAMED_ODDS * len(model.hypotheses))
 
 
 def probabilities(gains: Mapping[str, float], least: float) -> dict[str, float]:

@@ -10,7 +10,8 @@ from typing import Final, NamedTuple
 
 from physics.forward.force_path import KNEE_RAD
 from physics.forward.path_constants import LOAD_PER_STEP, PRESLIDING
-from physics.forward.path_parameters import stretch_of
+from physics.forward.path_parameters import stretch_m, stretch_of
+from physics.parameters import PARAMETERS
 
 Values = Mapping[str, float]
 Read = Callable[[Values, Values], float]
@@ -62,7 +63,10 @@ def _wrap(values: Values) -> tuple[Variant, ...]:
 
 
 def _stiffer(values: Values) -> tuple[Variant, ...]:
-    return (_frees(({"stiffness": 1.0, "curve2": values["curve2"], "curve3": 2.0 * values["curve3"]}, 0.25)),)
+    # the stretch is 1/s as long; where homing fixes the encoder's zero at a preload, the taut, unloaded rope's moves
+    along = {"stiffness": 1.0, "curve2": values["curve2"], "curve3": 2.0 * values["curve3"]}
+    homed = stretch_m(values, PARAMETERS["home_preload"].nominal)
+    return (_frees((along, 0.25)), _frees((along | {"cable_compliance": -1.0, "zero": homed}, 0.25)))
 
 
 def _creeps(values: Values) -> tuple[Variant, ...]:

@@ -70,12 +70,18 @@ def _friction(path: Values) -> dict[str, float]:
         "fabric_presliding_ratio": path["fabric_travel"] / path["cable_travel"]}
 
 
-def stretch_of(path: Values) -> dict[str, float]:
-    """Fit the simulation's stretch parameters to the stretch of a path at 10 to 60 N; return them by name."""
+def stretch_m(path: Values, tension_n: Array | float) -> Array:
+    """Return the stretch of a path, m, at each tension, N, with half of its slow creep."""
     strain = np.linspace(0.0, 4.0, 4001)
     tension = path["stiffness"] * strain * (1.0 + strain * (path["curve2"] + strain * path["curve3"]))
     delayed = path["prompt"] + 0.5 * path["slow"]
-    stretch = STRETCH_M * np.interp(TENSIONS_N, tension, strain) + (path["cable_compliance"] + delayed) * TENSIONS_N
+    return np.asarray(STRETCH_M * np.interp(tension_n, tension, strain)
+                      + (path["cable_compliance"] + delayed) * tension_n)
+
+
+def stretch_of(path: Values) -> dict[str, float]:
+    """Fit the simulation's stretch parameters to the stretch of a path at 10 to 60 N; return them by name."""
+    stretch = stretch_m(path, TENSIONS_N)
     linear, bend = np.linalg.lstsq(np.stack([TENSIONS_N, TENSIONS_N**2], axis=1), stretch, rcond=None)[0]
     scale = STRETCH_LINEAR / max(float(linear), 1e-6)
     return {"stiffness_scale": scale, "stiffness_shape": float(bend) * scale / STRETCH_BEND - 1.0,

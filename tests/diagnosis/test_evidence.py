@@ -12,7 +12,7 @@ import pytest
 from scipy.linalg import cho_factor, cho_solve
 
 from bowden.cli.app import run
-from diagnosis.evidence.decision import NAMED_NATS, SET_SHARE, probabilities
+from diagnosis.evidence.decision import SET_SHARE, probabilities, threshold
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.finder import diagnose
 from estimation.data.table import Table, table
@@ -236,11 +236,12 @@ def test_an_effect_outside_its_bounds_is_no_candidate() -> None:
 
 
 def test_probabilities_are_those_that_set_and_threshold_stand_for() -> None:
-    assert probabilities({"end_gain": -1.0}, NAMED_NATS) == {}
-    alone = probabilities({"end_gain": NAMED_NATS, "stiffness": -2.0}, NAMED_NATS)
+    least = threshold(PATH_MODEL)
+    assert probabilities({"end_gain": -1.0}, least) == {}
+    alone = probabilities({"end_gain": least, "stiffness": -2.0}, least)
     assert alone == {"end_gain": pytest.approx(0.937, abs=0.001)}
-    assert probabilities({"end_gain": 2.0 * NAMED_NATS}, NAMED_NATS)["end_gain"] > 0.999
-    both = probabilities({"end_gain": 80.0, "stiffness": 80.0, "slack": 80.0 * SET_SHARE}, NAMED_NATS)
+    assert probabilities({"end_gain": 2.0 * least}, least)["end_gain"] > 0.999
+    both = probabilities({"end_gain": 80.0, "stiffness": 80.0, "slack": 80.0 * SET_SHARE}, least)
     assert both["end_gain"] == both["stiffness"]
     assert both["slack"] / both["end_gain"] == pytest.approx(np.exp(-0.5 * 1.96**2), rel=0.01)
     assert sum(both.values()) == pytest.approx(1.0)

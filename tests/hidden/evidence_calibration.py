@@ -25,7 +25,7 @@ from multiprocessing import get_context
 import numpy as np
 from scipy.stats import binomtest, chi2
 
-from diagnosis.evidence.decision import NAMED_NATS
+from diagnosis.evidence.decision import threshold
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.finder import diagnose
 from estimation.data.table import Table, table
@@ -124,8 +124,8 @@ def quantiles(largest: Sequence[float], share: float = 0.02) -> list[str]:
     found = float(np.mean(np.maximum(largest, 0.0))) * -np.log(share)
     # 2n times the mean of n exponential values over their scale is χ² with 2n degrees of freedom
     low, high = (found * 2.0 * count / chi2.ppf(q, 2 * count) for q in (0.975, 0.025))
-    return [f"{nats:g} nats: {_rate(sum(v >= nats for v in largest), count)} of the reference trials reach it"
-            for nats in (8.0, 10.0, NAMED_NATS, 20.0)] + [
+    return [f"{nats:.1f} nats: {_rate(sum(v >= nats for v in largest), count)} of the reference trials reach it"
+            for nats in (4.0, threshold(PATH_MODEL), 9.0, 12.0)] + [
         f"{100.0 * share:g} % of {count} would reach {found:.1f} nats (95 %: {low:.1f} … {high:.1f}); largest: "
         + ", ".join(f"{v:.1f}" for v in sorted(largest)[-5:])]
 
@@ -149,7 +149,7 @@ def main(arguments: list[str]) -> None:
     asked: list[Job | Question] = [*reference_jobs(given.reference), *truth_questions(given.truths),
                                    *hidden_jobs(given.hidden)]
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
-        _print_sessions(crew, [*reference_jobs(given.scatter), *truth_questions(given.truths)])
+        _print_sessions(crew, [*reference_jobs(given.scatter), *truth_questions(given.truths if given.scatter else 0)])
         _print_likelihoods(list(crew.map(likelihoods, reference_jobs(given.noise))))
         _print_gains(dict(zip(asked, crew.map(gains, asked), strict=True)))
 
@@ -191,7 +191,7 @@ def _print_gains(told: Mapping[Job | Question, tuple[str, dict[str, float]]]) ->
     print("largest of reference trials, nats:", ", ".join(
         f"{name} {max(found[j].get(name, 0.0) for j in asked if not _effects(j)):.1f}" for name in effects))
     shares = sorted(found[j].get(_effects(j)[0], 0.0) / max(found[j].values()) for j in asked
-                    if _effects(j) and found[j] and max(found[j].values()) >= NAMED_NATS)
+                    if _effects(j) and found[j] and max(found[j].values()) >= threshold(PATH_MODEL))
     at = np.quantile(shares, [0.0, 0.02, 0.05, 0.1]) if shares else []
     print(f"share of the best that the truth has, of {len(shares)} named: least, 2 %, 5 %, 10 %:",
           ", ".join(f"{v:.2f}" for v in at))
