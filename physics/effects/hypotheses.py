@@ -65,7 +65,7 @@ def _wrap(values: Values) -> tuple[Variant, ...]:
 def _stiffer(values: Values) -> tuple[Variant, ...]:
     # the stretch is 1/s as long; where homing fixes the encoder's zero at a preload, the taut, unloaded rope's moves
     along = {"stiffness": 1.0, "curve2": values["curve2"], "curve3": 2.0 * values["curve3"]}
-    homed = stretch_m(values, PARAMETERS["home_preload"].nominal)
+    homed = float(stretch_m(values, PARAMETERS["home_preload"].nominal))
     return (_frees((along, 0.25)), _frees((along | {"cable_compliance": -1.0, "zero": homed}, 0.25)))
 
 
