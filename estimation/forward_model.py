@@ -43,7 +43,7 @@ class ForwardModel(ABC):
     `session_shares`: 1σ of a further change of the discrepancy between sessions, relative to it, over which the
     evidence is averaged (`diagnosis.evidence.session_change`).
 
-    `unlike_share`: largest error on the reference trials,
+    `nats_factor`: detection threshold relative to the bench's.  `unlike_share`: largest error on the reference trials,
     relative to the spread of the first judged output; above it they are of another rig.  `amounts`: for a constant
     without effect while another constant is zero, name of that other constant and a value to add to its coordinate.
     """
@@ -65,6 +65,7 @@ class ForwardModel(ABC):
     unseen: float = 0.0
     extrapolated: Sequence[str] = ()
     session_shares: Sequence[float] = (0.0,)
+    nats_factor: float = 1.0
     unlike_share: float
     amounts: Mapping[str, tuple[str, float]]
 

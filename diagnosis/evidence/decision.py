@@ -20,10 +20,10 @@ from estimation.posterior import HUBER, SURROGATE, PosteriorMode, SessionData, o
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
-NAMED_ODDS: Final = 20.0
-"""Least odds, to 1, of a named effect over none, where each effect of the model is as likely beforehand.
+NAMED_NATS: Final = 8.0
+"""Least log Bayes factor, nats, of a named effect.
 
-If they are too low, effects are named in reference trials; if they are too high, small effects are missed."""
+If it is too low, effects are named in reference trials; if it is too high, small effects are missed."""
 CLEAR_NATS: Final = 12.0
 """Least log likelihood ratio, nats, by which an experiment removes an effect, and of a law or a fault of the wire.
 
@@ -115,7 +115,7 @@ def unnamed(found: TrialModes) -> Decision:
 
 def threshold(model: ForwardModel) -> float:
     """Return the log Bayes factor, nats, from which an effect is named in the trials of one session."""
-    return math.log(NAMED_ODDS * len(model.hypotheses))
+    return model.nats_factor * NAMED_NATS
 
 
 def probabilities(gains: Mapping[str, float], least: float) -> dict[str, float]:

@@ -210,6 +210,6 @@ def test_the_calibration_prints_the_figures_that_thresholds_come_from(capsys: py
     evidence_calibration.main(["--reference", "1", "--hidden", "1", "--scatter", "2", "--noise", "1", "--workers", "1"])
     printed = capsys.readouterr().out
     for figure in ("scatter between sessions, family, session σ: zero", "by model error",
-                   "verdict of a trial in the reference", "6.5 nats: ", "2 % of ",
+                   "verdict of a trial in the reference", "8.0 nats: ", "2 % of ",
                    "largest of reference trials, nats: ", "share of the best that the truth has"):
         assert figure in printed
