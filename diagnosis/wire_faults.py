@@ -15,7 +15,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
 from diagnosis.compared_signals import Figures
-from diagnosis.evidence.decision import CLEAR_NATS
+from diagnosis.evidence.decision import NAMED_NATS
 from estimation.data.table import AGE_SUFFIX, Table
 from estimation.posterior import SURROGATE
 from physics import sampling_laws
@@ -131,16 +131,16 @@ def _runs(given: Table, name: str) -> Array:
 def stale(histogram: AgeHistogram) -> list[FittedFault]:
     """Return the effects that could have made the values stale, the best first; empty if the values are fresh.
 
-    Stale: the share is one that the catalogue expects, and its Gaussian log-likelihood ratio, ½z², is `CLEAR_NATS` or
-    more.  Models within `CLEAR_NATS` of the best are ranked with ½·ln(samples) for each parameter (BIC).
+    Stale: the share is one that the catalogue expects, and its Gaussian log-likelihood ratio, ½z², is `NAMED_NATS` or
+    more.  Models within `NAMED_NATS` of the best are ranked with ½·ln(samples) for each parameter (BIC).
     """
     effects = [effect for effect in CATALOGUE.values() if effect.stale is not None]
     least = min(p.likely[0] for effect in effects for p in effect.parameters if not p.unit)
-    if histogram.share < max(least, math.sqrt(2.0 * CLEAR_NATS) * histogram.sigma):
+    if histogram.share < max(least, math.sqrt(2.0 * NAMED_NATS) * histogram.sigma):
         return []
     faults = [_aged(effect, histogram) for effect in effects]
     best = min(t.misfit for t in faults)
-    able = [t for t in faults if t.misfit - best < CLEAR_NATS]
+    able = [t for t in faults if t.misfit - best < NAMED_NATS]
     return sorted(able, key=lambda t: t.misfit + 0.5 * math.log(histogram.counts.sum()) * len(t.effect.parameters))
 
 

@@ -24,12 +24,8 @@ NAMED_NATS: Final = 8.0
 """Least log Bayes factor, nats, of a named effect.
 
 If it is too low, effects are named in reference trials; if it is too high, small effects are missed."""
-CLEAR_NATS: Final = 12.0
-"""Least log likelihood ratio, nats, by which an experiment removes an effect, and of a law or a fault of the wire.
-
-Neither sessions nor overdispersion are averaged over there."""
 DOUBTED: Final = 2.0
-"""Factor where constants absorb model error: on the threshold of a second effect and of a name beside a lack of fit.
+"""Factor where constants absorb model error: on `NAMED_NATS` of a second effect and of a name beside a lack of fit.
 
 A model whose cost per datum is above that factor of the reference trials', and whose constants depart by that many
 session σ, RMS, has a lack of fit, too."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from diagnosis.compared_signals import Figures
 from diagnosis.evidence import decision
-from diagnosis.evidence.decision import CLEAR_NATS, DOUBTED, Decision
+from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, Decision
 from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
 from diagnosis.evidence.hypothesis_search import TrialModes
@@ -346,7 +346,7 @@ def _split(found: TrialModes, decided: Decision, reference: ReferenceFit, read: 
     """Return the decision with the ambiguity set reduced by the experiments `others`, the best effect first.
 
     No reference trial has the motion of an experiment, so the model error there is estimated from the residual of the
-    best effect of the set.  An effect is removed if the evidence of another one is `CLEAR_NATS` higher or more.  If
+    best effect of the set.  An effect is removed if the evidence of another one is `NAMED_NATS` higher or more.  If
     even the best effect needs constants far outside the session scatter (`DOUBTED`), None: the set stays as it is.
     """
     observed = reference.observe(*read, *others)
@@ -363,7 +363,7 @@ def _split(found: TrialModes, decided: Decision, reference: ReferenceFit, read: 
     best = max(modes.values(), key=lambda at: at.log_evidence)
     if best.cost > DOUBTED * observed.count:
         return None
-    kept = tuple(sorted((name for name, at in modes.items() if at.log_evidence > best.log_evidence - CLEAR_NATS),
+    kept = tuple(sorted((name for name, at in modes.items() if at.log_evidence > best.log_evidence - NAMED_NATS),
                         key=lambda name: -modes[name].log_evidence))
     return replace(decided, verdict="found" if len(kept) == 1 else "ambiguous", chosen=kept[:1], among=kept,
                    part=found.observed.model.hypotheses[kept[0]].part)
