@@ -13,7 +13,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from bowden.deferred import on_first_use
 from parameters import InputError
@@ -96,6 +96,14 @@ def option(key: str, value: str) -> tuple[str, Any]:
     return key, {"true": True, "false": False}.get(value.lower(), value)
 
 
+STATED_ELSEWHERE: Final = {
+    "rate_hz": "state it by --rate, or as [network] rate_hz",
+    "bitrate": "state it by --bitrate, or as [network] bitrate",
+    "declaration": "declare the bench in the configuration file", "monitor": "name its file by --monitor",
+    "truth": "a recorded trial writes its own truth file"}
+"""Options of the virtual bus that follow from the experiment, and how each is stated."""
+
+
 def simulated(
     serial: int = 1, day: int = 0, seed: int = 0, *, plant: str = VIRTUAL,
     plant_model: str | Path | Mapping[str, Any] | BenchModel | None = None, channel: str | None = None, **more: Any,
@@ -111,6 +119,10 @@ def simulated(
     for name, value in {"serial": serial, "day": day, "seed": seed}.items():
         if not isinstance(value, int) or value < 0:
             raise InputError(f"--{name} {value}: expected a whole number from 0; give another one.")
+    for name in more:
+        if name in STATED_ELSEWHERE:
+            raise InputError(f"{name} = {more[name]}: is no option of the simulated bench; "
+                             f"{STATED_ELSEWHERE[name]}.")
     model: Any = plant_model
     if isinstance(plant_model, Path):
         model = str(plant_model)

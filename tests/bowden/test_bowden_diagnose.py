@@ -234,6 +234,20 @@ def test_what_is_found_runs_in_the_simulator_and_in_the_controller(diagnosed: Pa
 
 
 @pytest.mark.exhaustive
+def test_a_softer_path_is_named_although_homing_moves_the_zero(here: Path, bowden: Run) -> None:
+    gait = ("trial", "--serial", 7, "--cycles", 8, "--period", 1.3, "--json")
+    (here / "softer.toml").write_text("[effects.stiffness]\nstiffness_scale = 0.75\n", encoding="utf-8")
+    for day, more in enumerate(((), ("--peak", 45), ("--plant-model", "softer.toml")), start=1):
+        assert bowden(*gait, "--day", day, *more, "-o", f"{day}.mcap").status == 0
+    told = json.loads(bowden("diagnose", "3.mcap", "--healthy", "1.mcap", "--healthy", "2.mcap", "--json").stdout)
+    assert told["class"][0] == "stiffness"
+    change = told["causes"][0]
+    found = change["parameters"]["stiffness_scale"]["value"] / change["was"]["stiffness_scale"]
+    # days 1 and 2 have 0.90 and 0.92; three times the 3 % by which sessions differ
+    assert found == pytest.approx(0.75 / 0.91, abs=0.09)
+
+
+@pytest.mark.exhaustive
 def test_a_dask_cluster_tells_each_trial_too(walked: Columns, bowden: Run, here: Path) -> None:
     dask = pytest.importorskip("distributed")
     short = written(here / "short.csv", cut(walked, 2))

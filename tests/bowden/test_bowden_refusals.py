@@ -76,6 +76,8 @@ def test_bad_input_is_refused_in_one_sentence(
 
 @pytest.mark.parametrize(("text", "sentence"), [
     ("=5", "--option =5: has no key; write KEY=VALUE"),
+    ("rate_hz=500", "rate_hz = 500: is no option of the simulated bench; state it by --rate"),
+    ("truth=t.mcap", "a recorded trial writes its own truth file"),
     ("plant_model=5", "plant_model = 5 is no file, table or bench model; name a TOML file"),
     ("faults=5", "faults = 5 is not a text or a list; faults of the wire: a TOML file"),
     ("steady=5", "steady = 5 is not a text or a list"),

@@ -23,7 +23,8 @@ from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import ELSEWHERE, HYPOTHESES, PARTS
 from physics.forward import force_path
 from physics.forward.path_constants import FREE, INDEX, NAMES, PATH_ROWS, TABLE, coordinates_of, named, values
-from physics.forward.path_parameters import simulation_values
+from physics.forward.path_parameters import simulation_values, stretch_m
+from physics.parameters import PARAMETERS
 from tests.hidden.family import Job, case
 from tests.plants.draws import set_aside, structure
 
@@ -258,6 +259,19 @@ def test_the_stiffness_is_told_as_the_simulation_reads_it(scale: float) -> None:
     # the direction is the tangent of a stretch that is 1/s as long
     assert after / before == pytest.approx(scale, rel=0.03)
     assert after == simulation_values(named(q))["stiffness_scale"]
+
+
+def test_the_zero_that_homing_fixes_moves_with_the_stiffness() -> None:
+    before = bench_values(prompt=1e-9, slow=1e-9)
+    q = coordinates_of(np.array(list(before.values())))
+    for name, share in HYPOTHESES["stiffness"].variants(before)[1].directions[0].along.items():
+        q[INDEX[name]] += 0.05 * share
+    after = named(q)
+    preload = PARAMETERS["home_preload"].nominal
+    homed, stays = (v["zero"] + float(stretch_m(v, preload)) for v in (before, after))
+    assert after["zero"] - before["zero"] > 0.2e-3
+    # the encoder reads the same at the preload, but for the second order of 5 % of 6 mm
+    assert stays == pytest.approx(homed, abs=0.02e-3)
 
 
 def bench_values(**given: float) -> dict[str, float]:
