@@ -158,7 +158,7 @@ class RigModel(ForwardModel):
     pools_sessions = True
     unseen = 1.0
     session_share = 0.7
-    nats_factor = 0.6
+    nats_factor = 0.4
     unlike_share = 0.7
 
     def __init__(self, tables: Sequence[Table], cutoffs_hz: Sequence[float] = (LOWPASS_HZ, 20.0, 10.0, 5.0),

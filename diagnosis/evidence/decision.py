@@ -20,7 +20,7 @@ from estimation.posterior import HUBER, SURROGATE, PosteriorMode, SessionData, o
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
-NAMED_NATS: Final = 8.0
+NAMED_NATS: Final = 12.0
 """Least log Bayes factor, nats, of a named effect.
 
 If it is too low, effects are named in reference trials; if it is too high, small effects are missed."""

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.evidence.decision import DOUBTED, departure
+from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, departure
 from diagnosis.laws.library import VIBRATING, Candidates, candidates, carriers_of
 from diagnosis.laws.linear_model import FoldedModel, LinearModel
 from diagnosis.laws.model_error import ModelErrors
@@ -36,8 +36,6 @@ FOLDS: Final = 5
 """Folds of cycles for held-out errors; each fold is predicted by a fit to the others."""
 WORSE: Final = 1.05
 """Largest held-out RMS error of an output with terms, relative to that with the session adapted."""
-LEAST_NATS: Final = 12.0
-"""Least evidence of a term, nats, beside the logarithm of the library's size; overdispersion does not lower it."""
 
 
 class Candidate(NamedTuple):
@@ -220,10 +218,10 @@ class LawSearch:
     # -- selection -----------------------------------------------------------------------------------------------------
 
     def further(self, chosen: Sequence[Candidate], at: PosteriorMode) -> list[Candidate]:
-        """Return the candidates for one more term whose evidence exceeds `LEAST_NATS` and the cost of the library."""
+        """Return the candidates for one more term whose evidence exceeds `NAMED_NATS` and the cost of the library."""
         slopes = self.sensitivities(at)
         offers = self.best_of(self._beside(at, chosen, chosen, slopes), slopes, chosen)
-        return [c for c in offers if c.nats >= LEAST_NATS + math.log(self.size)]
+        return [c for c in offers if c.nats >= NAMED_NATS + math.log(self.size)]
 
     def swapped(self, chosen: list[Candidate], at: PosteriorMode, least: float = 2.0) -> list[Candidate]:
         """Return the terms after replacing the first one if a candidate beside the others exceeds it by `least` nats.

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from diagnosis.compared_signals import Figures
+from diagnosis.evidence.decision import SET_SHARE
 from diagnosis.findings import Findings
 from diagnosis.laws.law_result import Laws
 from physics.effects.carriers import SITES
@@ -91,6 +92,8 @@ def _by_evidence(found: Findings) -> Iterator[str]:
         yield none_sentence(errors, found.of_rig)
         if found.of_rig:
             yield from _limits(found)
+    if not found.causes and found.evidence is not None:
+        yield from likeliest_sentence(found.evidence["log_bayes_factors"], found.evidence["named_nats"])
     if found.laws is not None:
         yield from law_sentences(found.laws)
     elif found.unexplained or found.verdict == "unexplained":
@@ -99,6 +102,18 @@ def _by_evidence(found: Findings) -> Iterator[str]:
     listed = _shifts((found.evidence or {}).get("shifts", {}))
     if listed:
         yield f"Constants that moved most: {'; '.join(listed)}."
+
+
+def likeliest_sentence(nats: Mapping[str, float], least: float) -> Iterator[str]:
+    """Yield a sentence on the likeliest effects if their log Bayes factor is near `least`, from which one is named.
+
+    Near is the share of it above which an effect is in the ambiguity set of a named one.
+    """
+    best = max(nats.values(), default=0.0)
+    if SET_SHARE * least <= best < least:
+        among = [words(name) for name, each in nats.items() if each >= SET_SHARE * best]
+        yield (f"Likeliest, but not named: {', '.join(among)} ({best:.1f} of {least:g} nats). Further reference trials "
+               "of this motion show smaller changes.")
 
 
 def law_sentences(laws: Laws) -> Iterator[str]:

@@ -24,6 +24,7 @@ from diagnosis.report.headline import (
     gain_sentence,
     headline,
     healthy_value,
+    likeliest_sentence,
     none_sentence,
 )
 from diagnosis.report.residuals import concentrated
@@ -211,6 +212,19 @@ def test_a_trial_without_reference_trials_agrees_with_none() -> None:
     assert told.startswith("No effect is named: a bench of the population")
     assert "0.30 N" in told
     assert "reference trials" not in error_sentence(Errors(0.9, 0.3), ["START"])
+
+
+@pytest.mark.parametrize(("nats", "said"), [
+    ({"fabric_wrap": 10.27, "fabric_friction": 10.13, "slack": 1.8},
+     "Likeliest, but not named: fabric wrap, fabric friction (10.3 of 12 nats)."),
+    ({"fabric_wrap": 6.0, "slack": 2.9}, "Likeliest, but not named: fabric wrap (6.0 of 12 nats)."),
+    ({"fabric_wrap": 5.9}, ""), ({"fabric_wrap": -1.0}, ""), ({}, ""),
+    # reached, but with a lack of fit: a warning says so
+    ({"fabric_wrap": 12.0}, ""),
+])
+def test_the_likeliest_effect_is_stated_where_it_is_near_the_threshold(nats: dict[str, float], said: str) -> None:
+    assert " ".join(likeliest_sentence(nats, 12.0)).startswith(said)
+    assert bool(said) == bool(list(likeliest_sentence(nats, 12.0)))
 
 
 def test_a_length_is_written_in_millimetres() -> None:

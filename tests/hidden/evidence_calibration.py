@@ -124,8 +124,8 @@ def quantiles(largest: Sequence[float], share: float = 0.02) -> list[str]:
     found = float(np.mean(np.maximum(largest, 0.0))) * -np.log(share)
     # 2n times the mean of n exponential values over their scale is χ² with 2n degrees of freedom
     low, high = (found * 2.0 * count / chi2.ppf(q, 2 * count) for q in (0.975, 0.025))
-    return [f"{nats:.1f} nats: {_rate(sum(v >= nats for v in largest), count)} of the reference trials reach it"
-            for nats in (4.0, threshold(PATH_MODEL), 9.0, 12.0)] + [
+    return [f"{nats:g} nats: {_rate(sum(v >= nats for v in largest), count)} of the reference trials reach it"
+            for nats in (4.0, 8.0, 10.0, threshold(PATH_MODEL))] + [
         f"{100.0 * share:g} % of {count} would reach {found:.1f} nats (95 %: {low:.1f} … {high:.1f}); largest: "
         + ", ".join(f"{v:.1f}" for v in sorted(largest)[-5:])]
 

@@ -19,8 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.frame import put
-from diagnosis.evidence.decision import probabilities, threshold
-from estimation.path_model import PATH_MODEL
+from diagnosis.evidence.decision import NAMED_NATS, probabilities
 from physics.effects.hypotheses import HYPOTHESES
 from tests.hidden import family, truths, truths_run
 from tests.hidden.family_run import DOCS
@@ -64,7 +63,7 @@ def table(cases: Sequence[Judged]) -> str:
     """Return how often first names are right by the probability said; effects that no gait separates count together."""
     told = []
     for case in cases:
-        said = probabilities(case.nats, threshold(PATH_MODEL))
+        said = probabilities(case.nats, NAMED_NATS)
         if case.named and said:
             among = truths.alike(max(said, key=lambda name: said[name]))
             told.append((sum(said.get(name, 0.0) for name in among), bool({*among} & {*case.right})))
