@@ -309,7 +309,8 @@ class _Fit:
         of another's, or by three times as much.
         """
         for log in logs:
-            self.session_sd = self.session_sd.copy()  # shared with the copies of `joint_minimum`
+            # a new array, since the copies of `joint_minimum` share the old one
+            self.session_sd = self.session_sd.copy()
             self.session_sd[at] = np.exp(log) * sd
             bench, nats = self._joint(range(len(self.trials)))
             yield bench, nats - 0.5 * float(log) ** 2
@@ -323,7 +324,7 @@ class _Fit:
         at = [self.constants.index[name] for name in self.model.structural]
         if not at:
             return ()
-        sd, middle, logs = self.session_sd.copy(), self._joint(range(len(self.trials)))[0].mean, np.arange(-3.0, 2.0)
+        sd, middle, logs = self.session_sd, self._joint(range(len(self.trials)))[0].mean, np.arange(-3.0, 2.0)
         # the common factor of constants that are scattered, too, is averaged over in place of its mean
         scattered = [name in self.model.scattered for name in self.model.structural]
         unscaled = sd[at] / np.sqrt(np.where(scattered, self.common, 1.0))

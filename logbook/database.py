@@ -80,7 +80,7 @@ CREATE TABLE estimate (
 The fourth and those from the sixth on drop estimates of single trials, which a later `add` makes anew from the files.
 Sixth: effects have secants, too.  Seventh, with the references: friction is distributed (decision 50).  Eighth: effects
 free more constants (decision 52).  Ninth, with the references: a trial is linearised by its motion (decision 57).
-Tenth: a stiffness may move the zero that homing fixes (decision 59).  The fifth renames constants."""
+Tenth: a stiffness may move the zero that homing fixes (decision 60).  The fifth renames constants."""
 
 
 class TrialEntry(NamedTuple):

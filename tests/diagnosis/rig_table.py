@@ -225,7 +225,7 @@ def asked(name: str, seed: int, references: int = 2) -> Iterator[dict[str, Any]]
     for changed in (None, *case.rig.effects):
         said = finder.diagnose([case.trial("trial.csv", changed)])
         right = said.verdict == "none" if changed is None else bool(case.rig.effects[changed] & set(said.rivals))
-        nats = max((said.evidence or {}).get("log_bayes_factors", {"": 0.0}).values(), default=0.0)
+        nats = max(((said.evidence or {}).get("log_bayes_factors") or {}).values(), default=0.0)
         yield {"rig": name, "seed": seed, "lost": case.lost, "changed": changed or "nothing",
                "counts": changed is None or case.counts(changed), "right": right,
                "wrong": bool(said.rivals) and not right, "verdict": said.verdict, "named": list(said.rivals),

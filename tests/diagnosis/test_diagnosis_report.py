@@ -227,6 +227,15 @@ def test_the_likeliest_effect_is_stated_where_it_is_near_the_threshold(nats: dic
     assert bool(said) == bool(list(likeliest_sentence(nats, 12.0)))
 
 
+def test_a_trial_without_a_name_has_the_likeliest_effect_among_its_first_sentences(found: Findings) -> None:
+    assert found.evidence is not None
+    nats = {"fabric_wrap": 10.27, "slack": 1.8}
+    near = dataclasses.replace(found, verdict="none", causes=[], rivals=[],
+                               evidence={**found.evidence, "log_bayes_factors": nats})
+    assert any(sentence.startswith("Likeliest, but not named: fabric wrap (10.3") for sentence in headline(near))
+    assert not any(sentence.startswith("Likeliest") for sentence in headline(found))
+
+
 def test_a_length_is_written_in_millimetres() -> None:
     cause: dict[str, Any] = {
         "effect": "presliding", "site": "cable", "gain_percent": 30.0, "was": {"presliding": 4.73e-5}, "parameters": {
