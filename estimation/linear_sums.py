@@ -4,6 +4,10 @@
     square = TᵀWT,  pull = TᵀWe,  T = [H, E]
 
 Sums of recordings of one session add up.  A watch adds gait cycles, a logbook sessions.
+
+Sessions that depart from the point of linearisation by δ ~ N(0, D) have an error of second order beside noise:
+
+    ε = f(q + δ) − f(q) − (∂f/∂q)·δ,  W⁻¹ = noise + E[εεᵀ], by a sample of δ
 """
 
 from __future__ import annotations
@@ -179,8 +183,9 @@ def session_sums(fit: ReferenceFit, columns: Sequence[EffectColumns], trial: Rec
     """Return the sums of a trial of a session.  `references`: `motion_spread` of each reference trial.
 
     The model's error repeats with the motion.  So a trial with the motion of a reference trial is linearised where
-    that is, at the reference posterior's mean: its scores have the same slopes and the same error.  One of another
-    motion is linearised at its posterior mode without an effect, where the error is less.
+    that is, at the reference posterior's mean: its scores have the same slopes and the same error.  There the session
+    is not at its mode, and the error of the linearisation counts as noise.  One of another motion is linearised at its
+    posterior mode without an effect, where the error is less.
     """
     observed, motion = fit.observe(trial), _repeated(motion_spread(trial), references)
     prior = fit.prior_of(observed)
@@ -188,10 +193,28 @@ def session_sums(fit: ReferenceFit, columns: Sequence[EffectColumns], trial: Rec
     made = slopes(fit.model, columns, at.q, trial)
     base = np.concatenate([made.base, observed.features], axis=1)
     residual = observed.data - made.data - observed.features @ at.x[at.constants:]
-    growth = np.diag(prior.covariance - fit.bench.covariance) / np.diag(fit.prior.covariance - fit.bench.covariance)
+    session = np.diag(prior.covariance - fit.bench.covariance)
+    growth = session / np.diag(fit.prior.covariance - fit.bench.covariance)
+    error = residual + base @ (at.x - prior.mean)
+    if motion is None:
+        return SessionSums(summed(base, made.effects, error, bounded(residual, observed.weight)), growth, motion)
     # at the reference's mean the residual is the session's whole departure, of which nothing is an outlier
-    weight = bounded(residual, observed.weight) if motion is None else observed.weight
-    return SessionSums(summed(base, made.effects, residual + base @ (at.x - prior.mean), weight), growth, motion)
+    further = linearisation_error(fit.model, at.q, made, np.sqrt(session[:at.constants]), trial)
+    return SessionSums(summed(base, made.effects, error, observed.weight, further), growth, motion)
+
+
+def linearisation_error(model: ForwardModel, q: Array, made: Slopes, session_sd: Array, trial: Recording,
+                        draws: int = 48) -> Array:
+    """Return F with E[εεᵀ] = FFᵀ, shape (data, draws), ε the error of the slopes `made` at `q` in another session.
+
+    `session_sd`: 1σ between sessions of the free constants, in coordinates.  `draws`: twice as many change the log
+    Bayes factors of a logbook by at most 0.8 nats.
+    """
+    # with a fixed seed, so that a logbook's sums do not depend on when they are made
+    departures = np.random.default_rng(7).normal(size=(draws, session_sd.size)) * session_sd
+    sets = np.repeat(q[:, None], draws, axis=1)
+    sets[list(model.constants.free)] += departures.T
+    return np.asarray((model.predict(sets, trial) - made.data - departures @ made.base.T).T / np.sqrt(draws))
 
 
 def motion_spread(trial: Recording) -> Array:
@@ -212,8 +235,15 @@ def _repeated(spread: Array, references: Array, alike: float = 0.05) -> int | No
     return int(found[0]) if found.size else None
 
 
-def summed(base: Array, effects: Array, error: Array, weight: Array) -> Sums:
-    """Return the sums of columns over data with the `error` of the reference posterior's mean and `weight`s."""
+def summed(base: Array, effects: Array, error: Array, weight: Array, further: Array | None = None) -> Sums:
+    """Return the sums of columns over data with the `error` of the reference posterior's mean and `weight`s.
+
+    `further`: columns F of a further error of the data with the covariance FFᵀ.
+    """
     every = np.concatenate([base, effects], axis=1)
     heavy = every.T * weight
+    if further is not None:
+        # Woodbury's identity: (W⁻¹ + FFᵀ)⁻¹ = W − WF·(I + FᵀWF)⁻¹·FᵀW
+        light = further.T * weight
+        heavy -= (heavy @ further) @ np.linalg.solve(np.eye(further.shape[1]) + light @ further, light)
     return Sums(heavy @ every, heavy @ error)

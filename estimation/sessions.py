@@ -99,10 +99,10 @@ class SessionSequence:
         self.growth = [self._growth(one.growth) for one in sessions]
         self.motion = np.array([-1 if one.motion is None else one.motion for one in sessions])
         self.sums = [self._reduced(one, row) for row, one in enumerate(sessions)]
-        loose = [self.known + k for part in columns if not self._followed(part)
-                 for k in range(part.at.start, part.at.stop)]
-        # rows of δ_s among those of the sums (b, r, effects)
-        self.scattered = np.array([*range(self.size), *loose])
+        # variance between sessions of the sizes of effects beside that of the constants
+        self.loose = np.zeros(columns[-1].at.stop)
+        for part in columns:
+            self.loose[part.at] = 0.0 if self._followed(part) else SURROGATE**2
 
     def _reduced(self, session: SessionSums, row: int) -> Sums:
         """Return the sums of (b, r, effects) of a session, in units of the population's σ, of the reduced discrepancy.
@@ -146,24 +146,20 @@ class SessionSequence:
 
     def integrated(self, variance: Array) -> _IntegratedSessions:
         """Return the sessions with deviations of a `variance` of the free constants, in coordinates, integrated out."""
-        rows, squares, pulls, inners = self.scattered, [], [], []
+        own, squares, pulls, inners = slice(0, self.size), [], [], []
         for sums, growth in zip(self.sums, self.growth, strict=True):
-            deviation = np.sqrt(self._deviation(variance) * np.pad(growth, (0, rows.size - self.size),
-                                                                   constant_values=1.0))
-            factor = cho_factor(np.eye(rows.size) + deviation[:, None] * sums.square[np.ix_(rows, rows)] * deviation)
+            deviation = np.sqrt(self._deviation(variance) * growth)
+            factor = cho_factor(np.eye(self.size) + deviation[:, None] * sums.square[own, own] * deviation)
             inner = deviation[:, None] * cho_solve(factor, np.diag(deviation))
-            across = sums.square[:, rows]
+            across = sums.square[:, own]
             squares.append(sums.square - across @ inner @ across.T)
-            pulls.append(sums.pull - across @ (inner @ sums.pull[rows]))
+            pulls.append(sums.pull - across @ (inner @ sums.pull[own]))
             inners.append(inner)
         return _IntegratedSessions(np.array(squares), np.array(pulls), np.array(inners))
 
     def _deviation(self, variance: Array) -> Array:
-        """Return the variances of δ_s: constants and discrepancy in units of the population's σ, sizes of effects."""
-        found = np.full(self.scattered.size, SURROGATE**2)
-        found[:self.size] = self.offset**2
-        found[:self.free] = variance / self.population
-        return found
+        """Return the variances of δ_s, constants and discrepancy, in units of the population's σ."""
+        return np.concatenate([variance / self.population, self.offset[self.free:] ** 2])
 
     def _bench(self, sessions: _IntegratedSessions) -> tuple[Array, Array]:
         """Return covariance and mean of (b, r), with a prior of N(0, 1)."""
@@ -184,8 +180,8 @@ class SessionSequence:
             total = np.zeros(self.free)
             for sums, inner in zip(self.sums, sessions.inner, strict=True):
                 # E step: mean and variance of the session's deviation, with the uncertainty of (b, r)
-                carried = inner[:self.free] @ sums.square[self.scattered, :self.known]
-                deviation = inner[:self.free] @ sums.pull[self.scattered] - carried @ mean
+                carried = inner[:self.free] @ sums.square[:self.size, :self.known]
+                deviation = inner[:self.free] @ sums.pull[:self.size] - carried @ mean
                 total += deviation**2 + np.diag(inner)[:self.free] + np.sum((carried @ covariance) * carried, axis=1)
             # M step
             variance = (weight * self.published + total * self.population) / (weight + self.count)
@@ -210,8 +206,11 @@ class SessionSequence:
             return []
         sessions, rows = self.integrated(self.published), slice(self.known, None)
         information = np.diagonal(sessions.square, axis1=1, axis2=2)[:, rows]
-        unit = np.sqrt(1.0 + information)
-        scores = (sessions.pull[:, rows] - sessions.square[:, rows, :self.known] @ self._bench(sessions)[1]) / unit
+        pull = sessions.pull[:, rows] - sessions.square[:, rows, :self.known] @ self._bench(sessions)[1]
+        # an effect that is no departure of followed constants has a scatter of its own: S/(1 + σ²S)
+        own = 1.0 + self.loose * information
+        information, unit = information / own, np.sqrt(1.0 + information / own)
+        scores = pull / own / unit
         series = [self._series(scores[:, k], information[:, k] / unit[:, k]) for k in range(scores.shape[1])]
         of: dict[str, list[tuple[_Series, EffectColumns, int]]] = {}
         for part in self.columns:
@@ -224,9 +223,9 @@ class SessionSequence:
         weights = self.weights().reshape(-1, self.count)
         after = [(np.arange(self.count) >= before).astype(float) for before in self._maintenance()]
         motions = [(self.motion == each).astype(float) for each in np.unique(self.motion)]
-        # 1σ in the scatter of the scores: of a level 20 (any), of a motion or a maintenance 2, of a change 6
+        # 1σ, in the scatter of the scores: of a level 20 (any); of a motion, a maintenance and a change 2
         known = np.column_stack([carried, *(motions if len(motions) > 1 else ()), *after])
-        variances = np.array([20.0] + [2.0] * (known.shape[1] - 1) + [6.0]) ** 2
+        variances = np.array([20.0] + [2.0] * known.shape[1]) ** 2
         none, _, _ = _regression(known[None], variances[:-1], scores)
         nats, mean, sd = _regression(np.concatenate([np.broadcast_to(known, (len(weights), *known.shape)),
                                                      (weights * carried)[:, :, None]], axis=2), variances, scores)
@@ -257,9 +256,9 @@ class SessionSequence:
         covariance, mean = self._bench(sessions)
         means, sds = [], []
         for row, (sums, inner) in enumerate(zip(self.sums, sessions.inner, strict=True)):
-            carried = inner[:self.free] @ sums.square[self.scattered, :self.known]
+            carried = inner[:self.free] @ sums.square[:self.size, :self.known]
             whole = np.concatenate([np.eye(self.size), self._maintained(row)], axis=1)[:self.free] - carried
-            means.append((whole @ mean + inner[:self.free] @ sums.pull[self.scattered]) * unit)
+            means.append((whole @ mean + inner[:self.free] @ sums.pull[:self.size]) * unit)
             sds.append(np.sqrt(np.diag(inner)[:self.free] + np.sum((whole @ covariance) * whole, axis=1)) * unit)
         return np.array(means), np.array(sds)
 
@@ -269,7 +268,7 @@ class SessionSequence:
         known, mean = self._bench(self.integrated(variance))
         last = np.concatenate([np.eye(self.size), self._maintained(self.count)], axis=1)
         sums, bench = self._reduced(session, self.count), last @ mean
-        prior = last @ known @ last.T + np.diag(self._deviation(variance)[:self.size] * self._growth(session.growth))
+        prior = last @ known @ last.T + np.diag(self._deviation(variance) * self._growth(session.growth))
         square = sums.square[:self.size, :self.size]
         residual = sums.pull[:self.size] - square @ bench
         departure: Array = np.asarray(np.linalg.solve(np.linalg.inv(prior) + square, residual), np.float64)

@@ -19,10 +19,13 @@ import numpy as np
 import pytest
 
 from bowden.cli.app import run
-from estimation.linear_sums import SessionSums, Sums
+from estimation.linear_sums import SessionSums, Sums, effect_columns, linearisation_error, slopes, summed
+from estimation.path_model import PATH_MODEL
+from estimation.stored_fit import decoded
 from logbook import database
 from logbook.bench_state import CANNOT, CHANGED, CONSTANTS, SET_SHARE, UNCHANGED, Cause, constants_of, enter_cause
 from logbook.database import NewTrial, open_logbook
+from logbook.session_fits import recording_of
 from physics.forward.path_constants import FREE, SESSION_SD
 
 DAYS = 3
@@ -279,6 +282,24 @@ def accuracy(bench: Path) -> Accuracy:
         kept = book.reference()
         assert kept is not None
         return Accuracy(book.sums(kept.id, [DAYS])[DAYS], kept.model)
+
+
+def test_the_error_of_the_linearisation_counts_as_noise_of_a_session(bench: Path, accuracy: Accuracy) -> None:
+    # sessions that depart by 1σ, without noise: what the linear model misses of them is no evidence of an effect
+    fit, table = decoded(accuracy.model, PATH_MODEL), PATH_MODEL.constants
+    trial, q = recording_of(bench / "0.mcap", "completed", ""), fit.prior.coordinates(table)
+    made, weight = slopes(fit.model, effect_columns(fit), q, trial), fit.observe(trial).weight
+    departures = np.random.default_rng(1).normal(size=(16, len(FREE))) * PUBLISHED
+    sets = np.repeat(q[:, None], len(departures), axis=1)
+    sets[list(FREE)] += departures.T
+    missed = fit.model.predict(sets, trial) - made.data - departures @ made.base.T
+
+    def scores(further: np.ndarray | None) -> float:
+        every = [summed(made.base, made.effects, each, weight, further) for each in missed]
+        return float(np.sqrt(np.mean([one.pull**2 / np.diag(one.square).clip(1e-6) for one in every])))
+
+    assert scores(None) > 3.0
+    assert scores(linearisation_error(fit.model, q, made, PUBLISHED, trial)) < 1.5
 
 
 def drawn(of: Accuracy, seed: int, sessions: int, course: Callable[[int], dict[str, float]]) -> Iterator[SessionSums]:
