@@ -314,8 +314,7 @@ class BenchState:
         """Return the effects of the change: by the diagnosis if it names one, else by the evidence of all sessions."""
         if self.cause is not None and self.cause.named:
             return self.cause.among
-        return () if self.cause is not None and self.cause.verdict == "unexplained" else tuple(
-            c.effect for c in self.alarms)
+        return tuple(c.effect for c in self.alarms)
 
     def caused(self) -> dict[str, Any]:
         """Return the diagnosis of the alarm; without one `verdict` is null and `remark` the reason."""
