@@ -27,9 +27,12 @@ from bowden.models.logbook_entries import diagnosed_state
 from logbook import database
 from logbook.bench_state import BenchState, averaged_nats
 from logbook.database import open_logbook
+from physics.parameters import PARAMETERS
 from tests.hidden.family import like
 from tests.plants import draws, imposed
 from tests.plants.bench import IMPLEMENTATIONS, Bench, replaced
+from virtual_bus.build import nominal
+from virtual_bus.machine.scatter import scattered
 
 PACKAGED: Final = "packaged"
 KINDS: Final = (*IMPLEMENTATIONS, PACKAGED)
@@ -41,15 +44,14 @@ CYCLES, PERIOD_S, PEAK_N, RATE_HZ, NOISE_N = 6, 1.2, 40.0, 500, 0.1
 
 
 class ChangeCase(NamedTuple):
-    """A change of a bench, by number of the session since it began, and its right answers.
+    """A change of a bench, by number of the session since it began, and its right answer.
 
-    `family`: the changed bench of the family; `packaged`: effects of the packaged plant.  `names`: effects of which one
-    is right; `part`: the part of the bench that the diagnosis should name.
+    `family`: the changed bench of the family; `packaged`: effect and parameter of the packaged plant, and its value
+    from the one of that session.  `part`: the part of the bench that the diagnosis should name.
     """
 
     family: Callable[[Bench, int], Bench]
-    packaged: Callable[[int], Mapping[str, Mapping[str, float]]]
-    names: frozenset[str]
+    packaged: tuple[str, str, Callable[[float, int], float]]
     part: str
 
 
@@ -57,26 +59,22 @@ def _worn(since: int, most: float) -> float:
     return 1.0 + most * min(since + 1, WEAR_SESSIONS) / WEAR_SESSIONS
 
 
-FRICTION: Final = frozenset({"cable_friction", "fabric_friction", "cable_bend", "load_dependent_friction",
-                             "fabric_wrap", "viscous_friction"})
-MU1: Final = 0.08
-"""Cable friction of the packaged plant at its middle."""
 CHANGES: Final[Mapping[str, ChangeCase]] = {
     "START gain +4 %": ChangeCase(
-        lambda b, k: replaced(b, start_gain=1.04 * b.start_gain), lambda k: {"start_gain": {"start_gain": 1.04}},
-        frozenset({"start_gain"}), "elasticity and gains"),
+        lambda b, k: replaced(b, start_gain=1.04 * b.start_gain), ("start_gain", "start_gain", lambda v, k: 1.04 * v),
+        "elasticity and gains"),
     "stiffness -12 %": ChangeCase(
-        lambda b, k: replaced(b, stiffness=0.88 * b.stiffness), lambda k: {"stiffness": {"stiffness_scale": 0.88}},
-        frozenset({"stiffness"}), "elasticity and gains"),
+        lambda b, k: replaced(b, stiffness=0.88 * b.stiffness), ("stiffness", "stiffness_scale", lambda v, k: 0.88 * v),
+        "elasticity and gains"),
     "friction +30 %": ChangeCase(
-        lambda b, k: replaced(b, mu1=1.3 * b.mu1), lambda k: {"cable_friction": {"mu1": 1.3 * MU1}},
-        FRICTION, "friction path"),
+        lambda b, k: replaced(b, mu1=1.3 * b.mu1), ("cable_friction", "mu1", lambda v, k: 1.3 * v),
+        "friction path"),
     "backlash 26 mrad": ChangeCase(
-        lambda b, k: replaced(b, play=b.play + 0.026), lambda k: {"knee_backlash": {"knee_backlash": 0.026}},
-        frozenset({"knee_backlash"}), "geometry"),
+        lambda b, k: replaced(b, play=b.play + 0.026), ("knee_backlash", "knee_backlash", lambda v, k: v + 0.026),
+        "geometry"),
     "wear +30 % over 8": ChangeCase(
-        lambda b, k: replaced(b, mu1=_worn(k, 0.3) * b.mu1), lambda k: {"cable_friction": {"mu1": _worn(k, 0.3) * MU1}},
-        FRICTION, "friction path"),
+        lambda b, k: replaced(b, mu1=_worn(k, 0.3) * b.mu1), ("cable_friction", "mu1", lambda v, k: _worn(k, 0.3) * v),
+        "friction path"),
 }
 
 
@@ -95,7 +93,7 @@ def record(folder: Path, kind: str, serial: int, session: int, change: str | Non
     folder.mkdir(parents=True, exist_ok=True)
     case = CHANGES[change] if changed and change is not None else None
     if kind == PACKAGED:
-        _run(path, serial, session, {} if case is None else case.packaged(session - BEGINS))
+        _run(path, serial, session, {} if case is None else _stated(case, serial, session))
         return path
     rng = np.random.default_rng((serial, session, 17))
     bench = like(draws.draw(serial, implementation=kind), rng)
@@ -105,6 +103,14 @@ def record(folder: Path, kind: str, serial: int, session: int, change: str | Non
     np.savetxt(path, np.stack(list(columns.values()), axis=1), fmt="%.8g", delimiter=",", header=",".join(columns),
                comments="")
     return path
+
+
+def _stated(case: ChangeCase, serial: int, session: int) -> dict[str, dict[str, float]]:
+    """Return the effect of a case on the packaged plant, whose parameter is that of the serial and session, changed."""
+    effect, parameter, value = case.packaged
+    group, field = PARAMETERS[parameter].plant.split(".")
+    own = scattered(nominal(None), serial, session)[group][field]
+    return {effect: {parameter: value(own, session - BEGINS)}}
 
 
 def _run(path: Path, serial: int, session: int, effects: Mapping[str, Mapping[str, float]]) -> None:

@@ -311,9 +311,14 @@ class BenchState:
                 f"{session} finds none. A change of {LEAST_CONTRADICTED} sessions is stated all the same."]
 
     def named(self) -> tuple[str, ...]:
-        """Return the effects of the change: by the diagnosis if it names one, else by the evidence of all sessions."""
+        """Return the effects of the change: by the diagnosis if it names one, else by the evidence of all sessions.
+
+        Of the diagnosis' ambiguity set those come first that have evidence in all sessions, too, in its order.
+        """
+        suspected = [change.effect for change in self.suspected]
         if self.cause is not None and self.cause.named:
-            return self.cause.among
+            return tuple(sorted(self.cause.among, key=lambda name: (
+                suspected.index(name) if name in suspected else len(suspected))))
         return tuple(c.effect for c in self.alarms)
 
     def caused(self) -> dict[str, Any]:
@@ -321,7 +326,7 @@ class BenchState:
         cause = self.cause or Cause(None, remark="not diagnosed yet.")
         named = self.named()
         return {"effects": list(named), "verdict": cause.verdict, "among": list(cause.among),
-                "part": cause.part if cause.named else HYPOTHESES[named[0]].part if named else None,
+                "part": HYPOTHESES[named[0]].part if named and named[0] in HYPOTHESES else cause.part,
                 "card": list(cause.card), "remark": cause.remark or None, "session": self.labels.get(cause.session),
                 "trials": list(cause.trials), "references": self._referred(cause)}
 
