@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt, sosfreqz
 
 from estimation.data.table import Table
+from physics.forward.path_outputs import zero_courses
 from physics.laws import Array
 
 LOWPASS_HZ: Final = 40.0
@@ -168,6 +169,11 @@ class PathRecording(Recording):
         self.unresolved_m_s2 = self.rope_m_s2 - slow
         self.along = {"rope_m_s": self.rope_m_s, "servo_position_m": self.rope_m, "knee_angle_rad": self.knee_rad}
         self.data = np.concatenate([self.binned(self.weighed(self._signals, name)) for name in self.outputs])
+
+    @cached_property
+    def zero_courses(self) -> Array:
+        """Courses of the zero of a sensor over the trial, shape (courses, samples)."""
+        return zero_courses(self.progress)
 
     def weighed(self, signals: dict[str, Array], name: str) -> Array:
         """Return output `name` of measured or predicted `signals`; END less the measured ratio times START for END."""

@@ -9,7 +9,7 @@ from estimation.likelihood_data import GRID_S, PathRecording
 from physics.forward import force_path
 from physics.forward.force_path import PathResponse
 from physics.forward.path_constants import PATH_ROWS, values
-from physics.forward.path_outputs import drive_force, end_reading, start_reading
+from physics.forward.path_outputs import distinct, drive_force, end_reading, start_reading
 from physics.laws import Array
 
 
@@ -28,9 +28,8 @@ class Prediction(NamedTuple):
 def predict(q: Array, trial: PathRecording) -> Prediction:
     """Predict the data of a trial for each column of coordinates `q`, shape (constants, sets)."""
     given = values(q)
-    distinct, row = np.unique(given[PATH_ROWS].T, axis=0, return_inverse=True)
-    row = row.ravel()
-    path = force_path.simulate(distinct.T, trial.rope_m, trial.knee_rad, GRID_S)
+    sets, row = distinct(given[PATH_ROWS])
+    path = force_path.simulate(sets, trial.rope_m, trial.knee_rad, GRID_S)
 
     signals = {"tension_start_n": start_reading(given, path.start[row], trial, GRID_S)}
     if "tension_end_n" in trial.outputs:

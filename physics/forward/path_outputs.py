@@ -10,6 +10,7 @@ from typing import Final, Protocol
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from physics.forward.path_constants import INDEX, WANDER
@@ -26,7 +27,7 @@ OF_DRIVE: Final = (
 
 
 class PathMotion(Protocol):
-    """Measured motion of rope and knee with its derivatives, measured START, N, and progress of the trial, 0 … 1."""
+    """Measured motion of rope and knee with its derivatives, measured START, N, and `zero_courses` of the trial."""
 
     rope_m: Array
     rope_m_s: Array
@@ -34,7 +35,9 @@ class PathMotion(Protocol):
     knee_rad: Array
     knee_rad_s2: Array
     start_n: Array
-    progress: Array
+
+    @property
+    def zero_courses(self) -> Array: ...
 
 
 def start_reading(given: Array, start: Array, motion: PathMotion, step_s: float) -> Array:
@@ -53,15 +56,27 @@ def end_reading(given: Array, end: Array, motion: PathMotion, step_s: float) -> 
 def _read(given: Array, sensor: str, tension: Array, motion: PathMotion) -> Array:
     def column(name: str) -> Array:
         return np.asarray(given[INDEX[f"{sensor}_{name}"]][:, None])
-    return np.asarray(column("gain") * tension + _zero(column, motion.progress))
+    return np.asarray(column("gain") * tension + _zero(column, motion.zero_courses))
 
 
-def _zero(column: Callable[[str], Array], progress: Array) -> Array:
-    """Return a sensor's zero over a trial from its constants: offset, drift and wander, shape (sets, samples)."""
-    sizes = [column("offset"), column("drift"), *(column(f"wander{k}") for k in range(1, WANDER + 1))]
+def zero_courses(progress: Array) -> Array:
+    """Return how offset, drift and wander of a sensor's zero go on over a trial, of `progress` 0 … 1; a row each."""
     waves = np.sin(math.pi * np.arange(1, WANDER + 1)[:, None] * progress)
-    courses = np.concatenate([np.ones((1, progress.size)), progress[None], waves])
+    return np.concatenate([np.ones((1, progress.size)), progress[None], waves])
+
+
+def _zero(column: Callable[[str], Array], courses: Array) -> Array:
+    """Return a sensor's zero over a trial from its constants, shape (sets, samples)."""
+    sizes = [column("offset"), column("drift"), *(column(f"wander{k}") for k in range(1, WANDER + 1))]
     return np.asarray(np.concatenate(sizes, axis=1) @ courses)
+
+
+def distinct(given: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return the distinct columns of `given`, in the order of their first occurrence, and the number of each column's.
+    """
+    first: dict[bytes, int] = {}
+    row = np.array([first.setdefault(column.tobytes(), len(first)) for column in given.T])
+    return given[:, np.unique(row, return_index=True)[1]], row
 
 
 def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
@@ -69,14 +84,14 @@ def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
 
     Terms: measured START tension at the drum, friction, inertia, offset.
     """
-    distinct, same = np.unique(given[[INDEX[name] for name in OF_DRIVE]].T, axis=0, return_inverse=True)
-    constants = dict(zip(OF_DRIVE, distinct.T, strict=True))
+    sets, same = distinct(given[[INDEX[name] for name in OF_DRIVE]])
+    constants = dict(zip(OF_DRIVE, sets, strict=True))
 
     def column(name: str) -> Array:
         return np.asarray(constants[name][:, None])
 
-    start = _late(np.tile(motion.start_n, (distinct.shape[0], 1)), -constants["start_lag"], step_s)
-    tension = (start - _zero(lambda name: column(f"start_{name}"), motion.progress)) / column("start_gain")
+    start = _late(np.tile(motion.start_n, (sets.shape[1], 1)), -constants["start_lag"], step_s)
+    tension = (start - _zero(lambda name: column(f"start_{name}"), motion.zero_courses)) / column("start_gain")
     radius = column("drum_radius")
     angle = motion.rope_m / radius
     arm = 1.0 + (column("eccentric_sin") * np.cos(angle) - column("eccentric_cos") * np.sin(angle)) / radius
@@ -86,7 +101,7 @@ def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
     viscous = column("drive_viscous") * (
         motion.rope_m_s + column("drive_viscous_asymmetry") * np.abs(motion.rope_m_s))
     force = tension * arm + coulomb + viscous + column("drive_inertia") * motion.rope_m_s2 + column("drive_offset")
-    return np.asarray((force / column("demand_gain"))[same.ravel()])
+    return np.asarray((force / column("demand_gain"))[same])
 
 
 def _late(signals: Array, lag_s: Array, step_s: float) -> Array:

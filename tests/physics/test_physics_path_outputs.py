@@ -10,13 +10,16 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from physics.forward.path_constants import CONSTANTS, INDEX, SESSION_SD, WANDER, values
-from physics.forward.path_outputs import PathMotion, drive_force, end_reading, start_reading
+from physics.forward.path_outputs import PathMotion, drive_force, end_reading, start_reading, zero_courses
 from physics.laws import Array
 
 STEP_S = 4e-3
 TIME_S: Array = STEP_S * np.arange(400, dtype=np.float64)
 INNER = slice(120, -50)
 """Samples that no lag of these tests reads from beyond the ends, and at which a low-pass has settled."""
+STILL: dict[str, Any] = dict.fromkeys(PathMotion.__annotations__, np.zeros(TIME_S.size)) | {
+    "zero_courses": zero_courses(np.zeros(TIME_S.size))}
+"""Motion of a bench at rest."""
 lags = st.floats(-0.05, 0.1)
 short = st.just(0.0) | st.floats(1e-6, 0.02)
 
@@ -25,8 +28,7 @@ def read(tension: Array, lag_s: float, filter_s: float) -> Array:
     """Return the reading of END of a bench at rest that has no gain error, no zero and no mass."""
     constants = values(np.zeros((len(CONSTANTS), 1)))
     constants[INDEX["end_lag"]], constants[INDEX["end_filter"]] = lag_s, filter_s
-    still: Any = SimpleNamespace(**dict.fromkeys(PathMotion.__annotations__, np.zeros(TIME_S.size)))
-    return np.asarray(end_reading(constants, tension[None].copy(), still, STEP_S)[0])
+    return np.asarray(end_reading(constants, tension[None].copy(), SimpleNamespace(**STILL), STEP_S)[0])
 
 
 @given(lags, short)
@@ -63,8 +65,7 @@ def test_a_sine_keeps_its_amplitude(lag_s: float, hz: float) -> None:
 def test_the_servo_force_has_start_as_it_was_before_its_lag(lag_s: float, hz: float) -> None:
     constants = values(np.zeros((len(CONSTANTS), 1)))
     constants[INDEX["start_lag"]] = lag_s
-    still: dict[str, Any] = dict.fromkeys(PathMotion.__annotations__, np.zeros(TIME_S.size))
-    motion: Any = SimpleNamespace(**still | {"start_n": np.sin(2.0 * np.pi * hz * (TIME_S - lag_s))})
+    motion: Any = SimpleNamespace(**STILL | {"start_n": np.sin(2.0 * np.pi * hz * (TIME_S - lag_s))})
     told = drive_force(constants, motion, STEP_S)[0]
     exact = np.sin(2.0 * np.pi * hz * TIME_S)
     np.testing.assert_allclose(told[INNER], exact[INNER], atol=(2.0 * np.pi * hz * STEP_S) ** 3 / 16.0 + 1e-12)
@@ -76,7 +77,7 @@ def test_a_zero_wanders_as_a_wiener_process_does_and_the_servo_force_is_without_
     constants[waves, 1 + np.arange(WANDER)] = SESSION_SD[waves]
     constants[INDEX["start_lag"]] = 0.0
     progress = TIME_S / TIME_S[-1]
-    still: dict[str, Any] = dict.fromkeys(PathMotion.__annotations__, np.zeros(TIME_S.size)) | {"progress": progress}
+    still = STILL | {"zero_courses": zero_courses(progress)}
     read = start_reading(constants, np.full((1 + WANDER, TIME_S.size), 30.0), SimpleNamespace(**still), STEP_S)
     apart = read[1:] - read[0]
     # a Brownian bridge has the variance sd²·p·(1 − p), its first sines at most that, and most of it
