@@ -443,6 +443,20 @@ def test_a_kept_diagnosis_holds_while_its_sessions_are_on_both_sides_of_the_chan
     assert ("Diagnosis of session day 24" in bowden("logbook", "show", folder).stdout) == bool(among)
 
 
+@pytest.mark.parametrize("cause", [
+    KEPT._replace(verdict="unexplained", among=(), part=None), KEPT._replace(among=("end_offset", "start_gain")),
+], ids=["one session has no name", "one session prefers another effect"])
+@pytest.mark.slow
+def test_an_effect_with_evidence_in_all_sessions_comes_first(cause: Cause, accuracy: Accuracy, here: Path,
+                                                             bowden: Callable[..., Any]) -> None:
+    folder = written(here / "book", accuracy, drawn(accuracy, 5, 25, DRIFTS["START gain +3 %"][1]))
+    with open_logbook(folder) as book:
+        enter_cause(book, cause)
+    alarm = shown(bowden, folder)["alarms"][0]
+    assert (alarm["effects"][0], alarm["part"]) == ("start_gain", "elasticity and gains")
+    assert ", as a step: START gain" in bowden("logbook", "show", folder).stdout.splitlines()[0]
+
+
 @pytest.mark.slow
 def test_a_drift_is_forecast_to_a_limit(accuracy: Accuracy, here: Path, bowden: Callable[..., Any]) -> None:
     book = written(here / "book", accuracy, drawn(accuracy, 4, 30, lambda k: {"cable": 0.02 * max(0, k - 10)}))
