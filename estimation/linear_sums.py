@@ -19,7 +19,7 @@ import numpy as np
 
 from estimation.forward_model import ForwardModel
 from estimation.likelihood_data import GRID_S, Recording
-from estimation.posterior import bounded, mode, slope_point
+from estimation.posterior import slope_point
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Direction, Variant
 from physics.forward.constant_table import ConstantTable
@@ -182,25 +182,18 @@ def session_sums(fit: ReferenceFit, columns: Sequence[EffectColumns], trial: Rec
                  ) -> SessionSums:
     """Return the sums of a trial of a session.  `references`: `motion_spread` of each reference trial.
 
-    The model's error repeats with the motion.  So a trial with the motion of a reference trial is linearised where
-    that is, at the reference posterior's mean: its scores have the same slopes and the same error.  There the session
-    is not at its mode, and the error of the linearisation counts as noise.  One of another motion is linearised at its
-    posterior mode without an effect, where the error is less.
+    All sessions are linearised at the reference posterior's mean, where they have the same slopes, and under one motion
+    the same model error.  A session is not at its mode there: the error of the linearisation counts as noise.
     """
-    observed, motion = fit.observe(trial), _repeated(motion_spread(trial), references)
-    prior = fit.prior_of(observed)
-    at = mode(observed, prior, descends=motion is None)
-    made = slopes(fit.model, columns, at.q, trial)
-    base = np.concatenate([made.base, observed.features], axis=1)
-    residual = observed.data - made.data - observed.features @ at.x[at.constants:]
-    session = np.diag(prior.covariance - fit.bench.covariance)
-    growth = session / np.diag(fit.prior.covariance - fit.bench.covariance)
-    error = residual + base @ (at.x - prior.mean)
-    if motion is None:
-        return SessionSums(summed(base, made.effects, error, bounded(residual, observed.weight)), growth, motion)
-    # at the reference's mean the residual is the session's whole departure, of which nothing is an outlier
-    further = linearisation_error(fit.model, at.q, made, np.sqrt(session[:at.constants]), trial)
-    return SessionSums(summed(base, made.effects, error, observed.weight, further), growth, motion)
+    observed, prior = fit.observe(trial), fit.prior
+    q = prior.coordinates(fit.model.constants)
+    made = slopes(fit.model, columns, q, trial)
+    base, count = np.concatenate([made.base, observed.features], axis=1), len(fit.model.constants.free)
+    error = observed.data - made.data - observed.features @ prior.mean[count:]
+    session, grown = (np.diag(each.covariance - fit.bench.covariance) for each in (prior, fit.prior_of(observed)))
+    further = linearisation_error(fit.model, q, made, np.sqrt(grown[:count]), trial)
+    return SessionSums(summed(base, made.effects, error, observed.weight, further), grown / session,
+                       _repeated(motion_spread(trial), references))
 
 
 def linearisation_error(model: ForwardModel, q: Array, made: Slopes, session_sd: Array, trial: Recording,
