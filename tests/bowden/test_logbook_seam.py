@@ -73,23 +73,6 @@ def test_a_change_is_named_as_the_diagnosis_names_it_whatever_the_order_of_entry
 
 
 @pytest.mark.exhaustive
-def test_a_suspicion_that_its_diagnosis_contradicts_is_told_and_not_stated(
-        here: Path, bowden: Callable[..., Any]) -> None:
-    # a bench without a change, whose last three sessions depart as a dead band would, to the linear evidence
-    own = draws.draw(6, implementation="fronts")
-    motion = imposed.gait(own, 40.0, 1.2, 6)
-    assert bowden("logbook", "init", "book").status == 0
-    for session in range(6):
-        bench = like(own, np.random.default_rng((6, session, 17)))
-        path = _recorded(here / f"{session}.csv", bench, 6000 + session, motion)
-        assert bowden("logbook", "add", "book", path, "--session", session).status == 0
-    shown = json.loads(bowden("logbook", "show", "book", "--json").stdout)
-    assert shown["changes"][0]["nats"] > 5.0
-    assert (shown["verdict"], shown["alarms"]) == ("unchanged", [])
-    assert "but the diagnosis of session 5 finds none" in bowden("logbook", "show", "book").stdout
-
-
-@pytest.mark.exhaustive
 def test_repeats_in_the_reference_condition_have_no_name_where_reference_trials_have_several_minima(
         here: Path, bowden: Callable[..., Any]) -> None:
     # at the minimum from the last reference trial's mode, these repeats have 14 to 17 nats of viscous friction
