@@ -3,10 +3,11 @@
     python -m benchmarks.logbook --recorded DIR [--kinds NAMES] [--serials 0,1] [--healthy 20] [--sessions 8]
                                  [--changes NAMES]
 
-Serials with serial % 3 == 2 are set aside: nothing is tuned on them (`tests.plants.draws`).  A session is six gait
-cycles, recorded once into DIR and entered as `bowden logbook add` does.  The constants of a session are drawn anew
-within the tolerance of like benches, or, for the packaged plant, are those of another `--day`.  A change begins in
-session `BEGINS`; the sessions before it are the bench's own without a change, fitted once for all its logbooks.
+Serials with serial % 3 == 2 are set aside: nothing is tuned on them but on 50 (decision 61; `tests.plants.draws`).  A
+session is six gait cycles, recorded once into DIR and entered as `bowden logbook add` does.  The constants of a
+session are drawn anew within the tolerance of like benches, or, for the packaged plant, are those of another `--day`.
+A change begins in session `BEGINS`; the sessions before it are the bench's own without a change, fitted once for all
+its logbooks.
 """
 
 import argparse

@@ -313,7 +313,7 @@ class BenchState:
     def named(self) -> tuple[str, ...]:
         """Return the effects of the change: by the diagnosis if it names one, else by the evidence of all sessions.
 
-        Of the diagnosis' ambiguity set those come first that have evidence in all sessions, too, in its order.
+        Of the diagnosis' ambiguity set those with evidence in all sessions come first, the largest evidence first.
         """
         suspected = [change.effect for change in self.suspected]
         if self.cause is not None and self.cause.named:

@@ -73,6 +73,24 @@ def test_a_change_is_named_as_the_diagnosis_names_it_whatever_the_order_of_entry
 
 
 @pytest.mark.exhaustive
+def test_a_change_of_friction_is_stated_where_sessions_are_beyond_the_linear_model(
+        here: Path, bowden: Callable[..., Any]) -> None:
+    # without the error of the linearisation as noise this bench has -2.3 nats after eight sessions (decision 61)
+    own = draws.draw(50, implementation="dahl")
+    motion = imposed.gait(own, 40.0, 1.2, 6)
+    assert bowden("logbook", "init", "book").status == 0
+    for session in range(SESSIONS):
+        bench = like(own, np.random.default_rng((50, session, 17)))
+        bench = replaced(bench, mu1=1.3 * bench.mu1) if session >= 3 else bench
+        path = _recorded(here / f"{session}.csv", bench, 50000 + session, motion)
+        assert bowden("logbook", "add", "book", path, "--session", session).status == 0
+    shown = json.loads(bowden("logbook", "show", "book", "--json").stdout)
+    assert (shown["verdict"], shown["alarms"][0]["since"], shown["alarms"][0]["part"]) == (
+        "changed", "3", "friction path")
+    assert "friction" in bowden("logbook", "show", "book").stdout.splitlines()[0]
+
+
+@pytest.mark.exhaustive
 def test_repeats_in_the_reference_condition_have_no_name_where_reference_trials_have_several_minima(
         here: Path, bowden: Callable[..., Any]) -> None:
     # at the minimum from the last reference trial's mode, these repeats have 14 to 17 nats of viscous friction
