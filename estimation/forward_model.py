@@ -182,7 +182,9 @@ def jacobian(model: ForwardModel, q: Array, trial: Recording, free: Sequence[int
     """
     step_taken()
     step, count = model.constants.step[list(free)], max(8, most // trial.data.size)
-    data, sets = predicted(model, q, trial), np.repeat(q[:, None], len(free), axis=1)
-    sets[list(free), np.arange(len(free))] += step
-    moved = [model.predict(sets[:, at:at + count], trial) for at in range(0, len(free), count)]
-    return data, np.ascontiguousarray(((np.concatenate(moved) - data) / step[:, None]).T)
+    # the unmoved set comes first: the others differ from it by one constant each, which makes a good first guess
+    sets = np.repeat(q[:, None], len(free) + 1, axis=1)
+    sets[list(free), np.arange(1, sets.shape[1])] += step
+    data, *moved = np.concatenate([model.predict(sets[:, at:at + count], trial)
+                                   for at in range(0, sets.shape[1], count)])
+    return data, np.ascontiguousarray(((np.stack(moved) - data) / step[:, None]).T)

@@ -92,7 +92,8 @@ class _Linear:
 
     @cached_property
     def information(self) -> Array:
-        return np.asarray((self.design.T * self.weight) @ self.design)
+        scaled = self.design * np.sqrt(self.weight)[:, None]
+        return np.asarray(scaled.T @ scaled)
 
     @cached_property
     def pull(self) -> Array:
