@@ -240,10 +240,12 @@ class _Fit:
         self._identify()
         self.scatter_n = self._missed()
         bench = self._bounded()
-        return ReferenceFit(self.model, self.outputs, self.origin, bench, self._further(bench), self.scaling,
-                            self.model_error, self.tau, self.scatter_n, self._mean_cost(), self.reach,
-                            tuple(self.identified), self.contradicted, self._session_priors(bench),
-                            None if self.model.pools_sessions else self.joint_minimum)
+        fit = ReferenceFit(self.model, self.outputs, self.origin, bench, self._further(bench), self.scaling,
+                           self.model_error, self.tau, self.scatter_n, self._mean_cost(), self.reach,
+                           tuple(self.identified), self.contradicted, self._session_priors(bench),
+                           None if self.model.pools_sessions else self.joint_minimum)
+        own = [fit.observe(trial).misfit(self._residual(k, self.at[k])) for k, trial in enumerate(self.trials)]
+        return replace(fit, misfit=np.maximum(1.0, np.mean(own, axis=0)))
 
     def _bounded(self) -> Gaussian:
         """Return the bench at the joint mode, its covariance linearised where "positive" constants are above 0.

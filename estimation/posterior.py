@@ -42,7 +42,7 @@ class SessionData:
     inflated for the autocorrelation of the residuals.  `cost`: mean cost per datum of the reference trials at their
     modes.  `growth`: factor, at least 1, on σ² by which a model of the measured signals may miss more than one of the
     reference condition's, shape (data,); it counts in the lack of fit alone.  `beyond`: by how much the motion
-    exceeds the range of the reference trials', relative to it.
+    exceeds the range of the reference trials', relative to it.  `own_misfit`: that of the reference trials, by output.
     """
 
     model: ForwardModel
@@ -53,6 +53,7 @@ class SessionData:
     cost: float
     growth: Array
     beyond: float = 0.0
+    own_misfit: Array | float = 1.0
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -84,6 +85,15 @@ class SessionData:
         for trial in self.trials:
             yield trial, values[at:at + trial.data.size]
             at += trial.data.size
+
+    def misfit(self, residual: Array) -> Array:
+        """Return the mean squared `residual` over its variance, by output, relative to that of the reference trials.
+
+        Residuals are clipped at `HUBER` σ, so that outliers count little.
+        """
+        squares = residual**2 * self.weight / self.growth
+        each = [tau * self.part(squares, k)[self.part(self.weight, k) > 0.0] for k, tau in enumerate(self.tau)]
+        return np.array([np.mean(np.minimum(own, HUBER**2)) for own in each]) / self.own_misfit
 
     def part(self, values: Array, output: int) -> Array:
         """Return the rows of output number `output` from `values`, an array over the data of all trials."""

@@ -95,7 +95,9 @@ class ReferenceFit:
     `contradicted`: nats by which a restart of the fit found a better minimum than the first start, 0 if it did not.
     `session_priors`: priors by how far structural constants scatter between sessions, () where that is not known.
     `joint_minimum`: function of this fit, a further trial and its mode that returns the reference condition at their
-    joint minimum; None for a condition that was not fitted here, and for pooled sessions.
+    joint minimum; None for a condition that was not fitted here, and for pooled sessions.  `misfit`: mean squared
+    residual of the reference trials over its variance, by output, at least 1: the servo force of a drive that cogs has
+    more, which no load quarter describes.
     """
 
     model: ForwardModel
@@ -113,6 +115,7 @@ class ReferenceFit:
     contradicted: float = 0.0
     session_priors: tuple[SessionPrior, ...] = ()
     joint_minimum: Callable[[ReferenceFit, Recording, Array], JointMinimum] | None = None
+    misfit: Array | float = 1.0
 
     def warning(self) -> str:
         """Return a sentence if a restart of the fit contradicted the first minimum; else ""."""
@@ -171,7 +174,8 @@ class ReferenceFit:
         weight = np.concatenate([1.0 / noise.variance(self.model, self.origin, t, s)
                                  for t, s in zip(trials, states, strict=True)])
         growth = np.concatenate([self._grown(t, excess) for t, excess in zip(trials, beyond, strict=True)])
-        return SessionData(self.model, trials, np.concatenate(made), weight, self.tau, self.cost, growth, max(beyond))
+        return SessionData(self.model, trials, np.concatenate(made), weight, self.tau, self.cost, growth, max(beyond),
+                           self.misfit)
 
     def prior_of(self, observed: SessionData) -> Gaussian:
         """Return the prior of the session `observed`: session deviations grow where its motion exceeds the references'.

@@ -16,7 +16,7 @@ from scipy.linalg import cho_solve
 
 from diagnosis.evidence.hypothesis_search import TrialModes, search_joint_minimum, search_pairs
 from estimation.forward_model import ForwardModel
-from estimation.posterior import HUBER, SURROGATE, PosteriorMode, SessionData, own_error, screened
+from estimation.posterior import SURROGATE, PosteriorMode, SessionData, own_error, screened
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
@@ -34,7 +34,8 @@ SET_SHARE: Final = 0.5
 FURTHER_SHARE: Final = 0.05
 """Share of the null's misfit above which the misfit of an effect is a lack of fit."""
 MISFIT: Final = 1.6
-"""Mean squared residual of an output over its variance above which the model has a lack of fit.
+"""Mean squared residual of an output over its variance, relative to that of the reference trials, above which the model
+has a lack of fit.
 
 No reference trial of the development population exceeds 1.2."""
 
@@ -45,9 +46,9 @@ class Decision:
 
     `verdict`: none, found, ambiguous, or unexplained if nothing is chosen and the null has a lack of fit.  `chosen`:
     effects that explain the trial, best first.  `among`: ambiguity set, the chosen effects first.  `part`: part of the
-    bench of the best effect.  `gains`: log Bayes factor of each effect, nats.  `misfit`: mean squared residual of the
-    best model over its variance, by output.  Its key `session`: the model's cost (misfit and prior) relative to that of
-    a reference trial, or the RMS departure of its constants and discrepancy, in σ between sessions, whichever is less.
+    bench of the best effect.  `gains`: log Bayes factor of each effect, nats.  `misfit`: of the best model, by
+    output (`SessionData.misfit`).  Its key `session`: the model's cost (misfit and prior) relative to that of a
+    reference trial, or the RMS departure of its constants and discrepancy, in σ between sessions, whichever is less.
     `lacking`: outputs (and `session`) in which the best model has a lack of fit; beside chosen effects it means that
     something else changed, too.
     """
@@ -148,18 +149,13 @@ def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def misfits(found: TrialModes, at: PosteriorMode, variants: Sequence[Variant] = ()) -> dict[str, float]:
-    """Return the mean squared residual over its variance by output, and `session` as defined in `Decision`.
+    """Return the misfit by output, `SessionData.misfit`, and `session` as defined in `Decision`.
 
-    `variants`: effects of the mode, whose equations may be inexact.  Residuals are clipped at `HUBER` σ, so that
-    outliers count little.
+    `variants`: effects of the mode, whose equations may be inexact.
     """
     observed = found.observed
     left = _left(at, [SURROGATE * own_error(at, observed, found.prior, variant) for variant in variants])
-    squares = left**2 * observed.weight / observed.growth
-    told = {}
-    for k, name in enumerate(observed.outputs):
-        own = observed.tau[k] * observed.part(squares, k)[observed.part(observed.weight, k) > 0.0]
-        told[name] = float(np.mean(np.minimum(own, HUBER**2)))
+    told = dict(zip(observed.outputs, observed.misfit(left).tolist(), strict=True))
     return told | {"session": departure(observed, at)}
 
 
