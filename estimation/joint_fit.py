@@ -21,9 +21,12 @@ from estimation.posterior import (
     CLOSE,
     HUBER,
     LONGEST,
+    NO_DEPARTURE,
+    Departure,
     Gaussian,
     PosteriorMode,
     SessionData,
+    between_sessions,
     bounded,
     descended,
     loss,
@@ -208,7 +211,8 @@ class _Fit:
         there.bench, there.at = best[0], best[1][:-1]
         bench, nats = there._posterior()
         found = replace(fit, bench=bench, prior=there._further(bench), identified=tuple(there.identified),
-                        session_priors=there._session_priors(bench), joint_minimum=None)
+                        session_priors=there._session_priors(bench), joint_minimum=None,
+                        departure=there._departure())
         nats -= copy.copy(self)._posterior()[1]
         # ln p(y) of the reference trials over all scatters is that of the stated one less its log probability
         sides = zip(fit.session_priors, found.session_priors, strict=True) if len(self.trials) > 1 else ()
@@ -245,7 +249,16 @@ class _Fit:
                            tuple(self.identified), self.contradicted, self._session_priors(bench),
                            None if self.model.pools_sessions else self.joint_minimum)
         own = [fit.observe(trial).misfit(self._residual(k, self.at[k])) for k, trial in enumerate(self.trials)]
-        return replace(fit, misfit=np.maximum(1.0, np.mean(own, axis=0)))
+        return replace(fit, misfit=np.maximum(1.0, np.mean(own, axis=0)), departure=self._departure())
+
+    def _departure(self) -> Departure:
+        """Return the departure of the reference trials from the bench, in session σ; none of a single one."""
+        if len(self.trials) == 1 or self.model.pools_sessions:
+            return NO_DEPARTURE
+        known = [self._joint([i for i in range(len(self.trials)) if i != k])[0].covariance
+                 for k in range(len(self.trials))]
+        return between_sessions(np.stack(self.at) - self.bench, np.sqrt(self._session()),
+                                [linear.information for linear in self.linear], known)
 
     def _bounded(self) -> Gaussian:
         """Return the bench at the joint mode, its covariance linearised where "positive" constants are above 0.

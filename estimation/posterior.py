@@ -5,6 +5,7 @@
 """
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -34,6 +35,24 @@ The model's friction and stretch equations differ from the bench's.  With this v
 98 % on the development population; too small, they would be too narrow."""
 
 
+class Departure(NamedTuple):
+    """Squared departure of constants and discrepancy, in σ, in as many directions as the data determine.
+
+    Its expected value is the number of these directions.
+    """
+
+    squared: float
+    directions: float
+
+    @property
+    def rms(self) -> float:
+        """RMS departure in one direction, σ; 0 without any."""
+        return math.sqrt(self.squared / self.directions) if self.directions else 0.0
+
+
+NO_DEPARTURE: Final = Departure(0.0, 0.0)
+
+
 @dataclass(frozen=True)
 class SessionData:
     """Data of the trials of one session, concatenated.
@@ -43,6 +62,7 @@ class SessionData:
     modes.  `growth`: factor, at least 1, on σ² by which a model of the measured signals may miss more than one of the
     reference condition's, shape (data,); it counts in the lack of fit alone.  `beyond`: by how much the motion
     exceeds the range of the reference trials', relative to it.  `own_misfit`: that of the reference trials, by output.
+    `own_strain`: their RMS departure from the bench, in session σ, at least 1.
     """
 
     model: ForwardModel
@@ -54,6 +74,7 @@ class SessionData:
     growth: Array
     beyond: float = 0.0
     own_misfit: Array | float = 1.0
+    own_strain: float = 1.0
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -164,19 +185,36 @@ class PosteriorMode:
         return np.asarray((self.design.T * self.weight) @ self.design)
 
     @cached_property
-    def strain(self) -> float:
-        """Return the RMS departure from the prior's mean, in prior σ, over the directions that the data determine.
+    def departure(self) -> Departure:
+        """Departure from the prior's mean, in prior σ.
 
-        There are n − tr (I + LᵀHᵀWHL)⁻¹ such directions of n (MacKay 1992, effective number of parameters).
+        The data determine n − tr (I + LᵀHᵀWHL)⁻¹ directions of n (MacKay 1992, effective number of parameters).
         """
-        departure = solve_triangular(self.factor, self.x - self.prior_mean, lower=True)
+        off = solve_triangular(self.factor, self.x - self.prior_mean, lower=True)
         determined = self.x.size - float(np.trace(cho_solve(self.inner, np.eye(self.x.size))))
-        return float(np.sqrt(departure @ departure / determined))
+        return Departure(float(off @ off), determined)
 
     def sd(self, gradient: Array) -> float:
         """Return 1σ of a scalar function of `x` from its `gradient` by `x`."""
         along = self.factor.T @ gradient
         return float(np.sqrt(along @ cho_solve(self.inner, along)))
+
+
+def between_sessions(off: Array, sd: Array, information: Sequence[Array], known: Sequence[Array]) -> Departure:
+    """Return the departure of trials from their bench at a joint mode, over the directions that they determine.
+
+    `off`: departures, shape (trials, n), each with the prior 1σ `sd`, D on a diagonal.  `information`: A = HᵀWH of each
+    trial.  `known`: covariance P of the bench by the other trials.
+    A trial determines n − tr (I + DBD)⁻¹ directions of its departure, B = A − A(P⁻¹ + A)⁻¹A, which is its information
+    less what it says of the bench.
+    """
+    directions, eye = 0.0, np.eye(sd.size)
+    for square, covariance in zip(information, known, strict=True):
+        root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
+        side = square @ root
+        own = square - side @ np.linalg.solve(eye + root.T @ side, side.T)
+        directions += sd.size - float(np.trace(np.linalg.inv(eye + sd[:, None] * own * sd)))
+    return Departure(float(np.sum((off / sd) ** 2)), directions)
 
 
 def extra_constants(table: ConstantTable, variants: Sequence[Variant]) -> list[int]:

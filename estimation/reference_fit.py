@@ -15,7 +15,7 @@ import numpy as np
 
 from estimation.forward_model import ForwardModel, predicted
 from estimation.likelihood_data import Recording
-from estimation.posterior import Gaussian, SessionData
+from estimation.posterior import NO_DEPARTURE, Departure, Gaussian, SessionData
 from physics.laws import Array
 
 FEATURES: Final = 60
@@ -97,7 +97,8 @@ class ReferenceFit:
     `joint_minimum`: function of this fit, a further trial and its mode that returns the reference condition at their
     joint minimum; None for a condition that was not fitted here, and for pooled sessions.  `misfit`: mean squared
     residual of the reference trials over its variance, by output, at least 1: the servo force of a drive that cogs has
-    more, which no load quarter describes.
+    more, which no load quarter describes.  `departure`: of the reference trials from the bench, in session σ; none of a
+    single one.
     """
 
     model: ForwardModel
@@ -116,6 +117,7 @@ class ReferenceFit:
     session_priors: tuple[SessionPrior, ...] = ()
     joint_minimum: Callable[[ReferenceFit, Recording, Array], JointMinimum] | None = None
     misfit: Array | float = 1.0
+    departure: Departure = NO_DEPARTURE
 
     def warning(self) -> str:
         """Return a sentence if a restart of the fit contradicted the first minimum; else ""."""
@@ -175,7 +177,7 @@ class ReferenceFit:
                                  for t, s in zip(trials, states, strict=True)])
         growth = np.concatenate([self._grown(t, excess) for t, excess in zip(trials, beyond, strict=True)])
         return SessionData(self.model, trials, np.concatenate(made), weight, self.tau, self.cost, growth, max(beyond),
-                           self.misfit)
+                           self.misfit, max(1.0, self.departure.rms))
 
     def prior_of(self, observed: SessionData) -> Gaussian:
         """Return the prior of the session `observed`: session deviations grow where its motion exceeds the references'.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from estimation.forward_model import ForwardModel
-from estimation.posterior import Gaussian
+from estimation.posterior import Departure, Gaussian
 from estimation.reference_fit import Reach, ReferenceFit, Scaling
 from parameters import InputError
 
@@ -42,7 +42,8 @@ def encoded(fit: ReferenceFit) -> bytes:
 
 def decoded(content: bytes, model: ForwardModel) -> ReferenceFit:
     """Return the reference posterior of `encoded`; raises `InputError` for one that another version wrote."""
-    kinds: dict[str, Any] = {"bench": Gaussian, "prior": Gaussian, "scaling": Scaling, "reach": Reach}
+    kinds: dict[str, Any] = {"bench": Gaussian, "prior": Gaussian, "scaling": Scaling, "reach": Reach,
+                             "departure": Departure}
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         held = {name: arrays[name] for name in arrays.files}
 

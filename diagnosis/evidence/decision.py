@@ -48,7 +48,8 @@ class Decision:
     effects that explain the trial, best first.  `among`: ambiguity set, the chosen effects first.  `part`: part of the
     bench of the best effect.  `gains`: log Bayes factor of each effect, nats.  `misfit`: of the best model, by
     output (`SessionData.misfit`).  Its key `session`: the model's cost (misfit and prior) relative to that of a
-    reference trial, or the RMS departure of its constants and discrepancy, in σ between sessions, whichever is less.
+    reference trial, or the RMS departure of its constants and discrepancy, in σ between sessions, relative to that of
+    the reference trials, whichever is less.
     `lacking`: outputs (and `session`) in which the best model has a lack of fit; beside chosen effects it means that
     something else changed, too.
     """
@@ -161,7 +162,8 @@ def misfits(found: TrialModes, at: PosteriorMode, variants: Sequence[Variant] = 
 
 def departure(observed: SessionData, at: PosteriorMode) -> float:
     """Return how far a mode is from a reference trial's: `session` of `Decision.misfit`."""
-    return min(at.cost / (observed.count * observed.cost * float(observed.growth.mean())), at.strain)
+    return min(at.cost / (observed.count * observed.cost * float(observed.growth.mean())),
+               at.departure.rms / observed.own_strain)
 
 
 def _left(at: PosteriorMode, errors: Sequence[Array]) -> Array:

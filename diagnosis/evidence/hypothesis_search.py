@@ -65,15 +65,16 @@ class TrialModes:
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
     def overdispersion(self, *modes: PosteriorMode) -> float:
-        """Return the variance of the session about the reference condition over the expected one, at least 1.
+        """Return the variance of sessions about the reference condition over the expected one, at least 1.
 
-        Constants that depart by more than their scatter even in the best of `modes` depart by a model error. A log
-        likelihood is taken for one of so many times the variance (quasi-likelihood, Wedderburn 1974).  Pooled sessions
-        have no scatter.
+        It is pooled over the reference trials and the trial, by the directions that each determines.  Constants that
+        depart by more than their scatter even in the best of `modes` depart by a model error. A log likelihood is taken
+        for one of so many times the variance (quasi-likelihood, Wedderburn 1974).  Pooled sessions have no scatter.
         """
         if self.observed.model.pools_sessions:
             return 1.0
-        return max(1.0, max(modes, key=lambda at: at.log_evidence).strain**2)
+        own, others = max(modes, key=lambda at: at.log_evidence).departure, self.reference.departure
+        return max(1.0, (own.squared + others.squared) / (own.directions + others.directions))
 
 
 def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[str, tuple[Variant, ...]]:

@@ -18,7 +18,7 @@ from diagnosis.finder import diagnose
 from estimation.data.table import Table, table
 from estimation.likelihood_data import GRID_S
 from estimation.path_model import PATH_MODEL
-from estimation.posterior import PosteriorMode
+from estimation.posterior import PosteriorMode, between_sessions
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import ELSEWHERE, HYPOTHESES, PARTS
 from physics.forward import force_path
@@ -290,9 +290,28 @@ def test_trials_from_the_prior_depart_by_one_sigma_in_the_directions_that_they_d
         none = np.zeros(0)
         at = PosteriorMode(PATH_MODEL.constants, none, x, (), 0.0, 0.0, factor, inner, design, design[:, :0], none,
                            none, np.zeros(12))
-        squares.append(at.strain ** 2)
+        squares.append(at.departure.squared / at.departure.directions)
     # the mean of 400 draws of about seven squares each scatters by 2·√(2/7)/√400 = 5 % at two sigma
     assert np.mean(squares) == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("trials", [2, 3])
+def test_reference_trials_depart_by_one_sigma_in_the_directions_that_they_determine(trials: int) -> None:
+    random, sd, size = np.random.default_rng(5), np.geomspace(1.0, 0.1, 8), 8
+    designs = [random.normal(size=(30, size)) * np.geomspace(3.0, 1e-2, size) for _ in range(trials)]
+    information = [design.T @ design for design in designs]
+    # bench and departures as one vector, the bench with unit prior σ
+    whole = np.concatenate([np.hstack([design, *(design if i == k else 0.0 * design for i in range(trials))])
+                            for k, design in enumerate(designs)])
+    prior = np.concatenate([np.ones(size), np.tile(sd, trials)])
+    gain = np.linalg.solve(whole.T @ whole + np.diag(prior**-2), whole.T)
+    known = [np.linalg.inv(np.eye(size) + sum(np.linalg.inv(np.linalg.inv(information[i]) + np.diag(sd**2))
+                                              for i in range(trials) if i != k)) for k in range(trials)]
+    found = [between_sessions((gain @ (whole @ (prior * random.normal(size=prior.size))
+                                       + random.normal(size=whole.shape[0])))[size:].reshape(trials, size),
+                              sd, information, known) for _ in range(400)]
+    # about six squares in each of 400 draws: 2·√(2/6)/√400 = 6 % at two sigma
+    assert np.mean([each.squared / each.directions for each in found]) == pytest.approx(1.0, abs=0.06)
 
 
 def _written(folder: Path, name: str, given: Table) -> Path:
