@@ -21,7 +21,6 @@ from estimation.posterior import (
     CLOSE,
     HUBER,
     LONGEST,
-    NO_DEPARTURE,
     Departure,
     Gaussian,
     PosteriorMode,
@@ -254,7 +253,7 @@ class _Fit:
     def _departure(self) -> Departure:
         """Return the departure of the reference trials from the bench, in session σ; none of a single one."""
         if len(self.trials) == 1 or self.model.pools_sessions:
-            return NO_DEPARTURE
+            return Departure(0.0, 0.0)
         known = [self._joint([i for i in range(len(self.trials)) if i != k])[0].covariance
                  for k in range(len(self.trials))]
         return between_sessions(np.stack(self.at) - self.bench, np.sqrt(self._session()),

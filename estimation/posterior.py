@@ -50,9 +50,6 @@ class Departure(NamedTuple):
         return math.sqrt(self.squared / self.directions) if self.directions else 0.0
 
 
-NO_DEPARTURE: Final = Departure(0.0, 0.0)
-
-
 @dataclass(frozen=True)
 class SessionData:
     """Data of the trials of one session, concatenated.
