@@ -21,10 +21,10 @@ from estimation.posterior import (
     CLOSE,
     HUBER,
     LONGEST,
-    Departure,
     Gaussian,
     PosteriorMode,
     SessionData,
+    SessionDeparture,
     between_sessions,
     bounded,
     descended,
@@ -250,10 +250,10 @@ class _Fit:
         own = [fit.observe(trial).misfit(self._residual(k, self.at[k])) for k, trial in enumerate(self.trials)]
         return replace(fit, misfit=np.maximum(1.0, np.mean(own, axis=0)), departure=self._departure())
 
-    def _departure(self) -> Departure:
+    def _departure(self) -> SessionDeparture:
         """Return the departure of the reference trials from the bench, in session σ; none of a single one."""
         if len(self.trials) == 1 or self.model.pools_sessions:
-            return Departure(0.0, 0.0)
+            return SessionDeparture(0.0, 0.0)
         known = [self._joint([i for i in range(len(self.trials)) if i != k])[0].covariance
                  for k in range(len(self.trials))]
         return between_sessions(np.stack(self.at) - self.bench, np.sqrt(self._session()),

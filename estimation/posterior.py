@@ -35,7 +35,7 @@ The model's friction and stretch equations differ from the bench's.  With this v
 98 % on the development population; too small, they would be too narrow."""
 
 
-class Departure(NamedTuple):
+class SessionDeparture(NamedTuple):
     """Squared departure of constants and discrepancy, in σ, in as many directions as the data determine.
 
     Its expected value is the number of these directions.
@@ -182,14 +182,14 @@ class PosteriorMode:
         return np.asarray((self.design.T * self.weight) @ self.design)
 
     @cached_property
-    def departure(self) -> Departure:
-        """Departure from the prior's mean, in prior σ.
+    def departure(self) -> SessionDeparture:
+        """SessionDeparture from the prior's mean, in prior σ.
 
         The data determine n − tr (I + LᵀHᵀWHL)⁻¹ directions of n (MacKay 1992, effective number of parameters).
         """
         off = solve_triangular(self.factor, self.x - self.prior_mean, lower=True)
         determined = self.x.size - float(np.trace(cho_solve(self.inner, np.eye(self.x.size))))
-        return Departure(float(off @ off), determined)
+        return SessionDeparture(float(off @ off), determined)
 
     def sd(self, gradient: Array) -> float:
         """Return 1σ of a scalar function of `x` from its `gradient` by `x`."""
@@ -197,7 +197,7 @@ class PosteriorMode:
         return float(np.sqrt(along @ cho_solve(self.inner, along)))
 
 
-def between_sessions(off: Array, sd: Array, information: Sequence[Array], known: Sequence[Array]) -> Departure:
+def between_sessions(off: Array, sd: Array, information: Sequence[Array], known: Sequence[Array]) -> SessionDeparture:
     """Return the departure of trials from their bench at a joint mode, over the directions that they determine.
 
     `off`: departures, shape (trials, n), each with the prior 1σ `sd`, D on a diagonal.  `information`: A = HᵀWH of each
@@ -211,7 +211,7 @@ def between_sessions(off: Array, sd: Array, information: Sequence[Array], known:
         side = square @ root
         own = square - side @ np.linalg.solve(eye + root.T @ side, side.T)
         directions += sd.size - float(np.trace(np.linalg.inv(eye + sd[:, None] * own * sd)))
-    return Departure(float(np.sum((off / sd) ** 2)), directions)
+    return SessionDeparture(float(np.sum((off / sd) ** 2)), directions)
 
 
 def extra_constants(table: ConstantTable, variants: Sequence[Variant]) -> list[int]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from estimation.forward_model import ForwardModel, predicted
 from estimation.likelihood_data import Recording
-from estimation.posterior import Departure, Gaussian, SessionData
+from estimation.posterior import Gaussian, SessionData, SessionDeparture
 from physics.laws import Array
 
 FEATURES: Final = 60
@@ -117,7 +117,7 @@ class ReferenceFit:
     session_priors: tuple[SessionPrior, ...] = ()
     joint_minimum: Callable[[ReferenceFit, Recording, Array], JointMinimum] | None = None
     misfit: Array | float = 1.0
-    departure: Departure = field(default_factory=lambda: Departure(0.0, 0.0))
+    departure: SessionDeparture = field(default_factory=lambda: SessionDeparture(0.0, 0.0))
 
     def warning(self) -> str:
         """Return a sentence if a restart of the fit contradicted the first minimum; else ""."""

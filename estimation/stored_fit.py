@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from estimation.forward_model import ForwardModel
-from estimation.posterior import Departure, Gaussian
+from estimation.posterior import Gaussian, SessionDeparture
 from estimation.reference_fit import Reach, ReferenceFit, Scaling
 from parameters import InputError
 
@@ -43,7 +43,7 @@ def encoded(fit: ReferenceFit) -> bytes:
 def decoded(content: bytes, model: ForwardModel) -> ReferenceFit:
     """Return the reference posterior of `encoded`; raises `InputError` for one that another version wrote."""
     kinds: dict[str, Any] = {"bench": Gaussian, "prior": Gaussian, "scaling": Scaling, "reach": Reach,
-                             "departure": Departure}
+                             "departure": SessionDeparture}
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         held = {name: arrays[name] for name in arrays.files}
 
