@@ -200,10 +200,11 @@ class PosteriorMode:
 def between_sessions(off: Array, sd: Array, information: Sequence[Array], known: Sequence[Array]) -> SessionDeparture:
     """Return the departure of trials from their bench at a joint mode, over the directions that they determine.
 
-    `off`: departures, shape (trials, n), each with the prior 1σ `sd`, D on a diagonal.  `information`: A = HᵀWH of each
-    trial.  `known`: covariance P of the bench by the other trials.
-    A trial determines n − tr (I + DBD)⁻¹ directions of its departure, B = A − A(P⁻¹ + A)⁻¹A, which is its information
-    less what it says of the bench.
+    `off`: departures, shape (trials, n), each with the prior 1σ `sd`.  `information`: A = HᵀWH of each trial.  `known`:
+    covariance P of the bench by the other trials.
+
+    A trial determines n − tr (I + DBD)⁻¹ directions of its departure.  D is `sd` on a diagonal.  B = (A⁻¹ + P)⁻¹ is the
+    information with the bench integrated out, as A − A(P⁻¹ + A)⁻¹A.
     """
     directions, eye = 0.0, np.eye(sd.size)
     for square, covariance in zip(information, known, strict=True):

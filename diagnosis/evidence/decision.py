@@ -47,9 +47,8 @@ class Decision:
     `verdict`: none, found, ambiguous, or unexplained if nothing is chosen and the null has a lack of fit.  `chosen`:
     effects that explain the trial, best first.  `among`: ambiguity set, the chosen effects first.  `part`: part of the
     bench of the best effect.  `gains`: log Bayes factor of each effect, nats.  `misfit`: of the best model, by
-    output (`SessionData.misfit`).  Its key `session`: the model's cost (misfit and prior) relative to that of a
-    reference trial, or the RMS departure of its constants and discrepancy, in σ between sessions, relative to that of
-    the reference trials, whichever is less.
+    output (`SessionData.misfit`).  Its key `session`: the model's cost (misfit and prior), or the RMS departure of its
+    constants and discrepancy, whichever is less; each relative to that of the reference trials.
     `lacking`: outputs (and `session`) in which the best model has a lack of fit; beside chosen effects it means that
     something else changed, too.
     """

@@ -387,4 +387,5 @@ def test_what_the_model_misses_in_the_reference_trials_too_is_no_lack_of_fit() -
     # without it the jerk was a misfit of 1.5 in each trial of this bench, where 1.6 is `unexplained`
     assert fit.misfit[force] > 1.3
     assert np.mean(misfit, axis=0)[force] == pytest.approx(1.0, abs=1e-6)
-    assert fit.departure.squared / fit.departure.directions < 1.5
+    # 1 with a scatter of 2·√(2/57) = 0.4 at two sigma, since the sessions are drawn within the published tolerances
+    assert fit.departure.rms**2 < 1.5
