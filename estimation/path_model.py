@@ -44,7 +44,7 @@ class PathModel(ForwardModel):
     structural = (
         "curve2", "curve3", "cable_compliance", "fabric_share", "prompt", "slow", "creep_compliance", "creep_time",
         "bend", "load", "viscous", "dry", "wrap", "surface", "cable_travel", "fabric_travel", "breakaway",
-        "fabric_breakaway", "stribeck_speed", "stribeck_memory")
+        "fabric_breakaway", "stribeck_speed", "stribeck_memory", "sharpness")
     """No tolerance of like benches is published for these; some benches repeat them to a fifth of it (decision 55)."""
     surrogate_sd: Mapping[str, float] = {"start_gain": 0.02, "end_gain": 0.02}
     """On rigs of other structure a gain of 3 % absorbs model error; with the maker's class as 1σ, `end_gain` is named

@@ -19,7 +19,7 @@ NAMES: Final = (
     "stiffness", "curve2", "curve3", "cable_compliance", "fabric_share", "prompt", "slow", "creep_compliance",
     "creep_time", "cable", "bend", "load", "friction_drift", "viscous", "drag", "dry",
     "fabric", "wrap", "surface", "cable_travel", "fabric_travel",
-    "breakaway", "fabric_breakaway", "stribeck_speed", "stribeck_memory",
+    "breakaway", "fabric_breakaway", "stribeck_speed", "stribeck_memory", "sharpness",
 )
 """Parameters of the path, one row each of the array that `simulate` takes.
 
@@ -39,7 +39,7 @@ speed, `stribeck_memory` s its lag."""
 INDEX: Final = {name: i for i, name in enumerate(NAMES)}
 (ZERO, ARM, ARM2, ARM3, ECC_SIN, ECC_COS, DRUM, PLAY, GAP, STIFF, CURVE2, CURVE3, COMPLIANCE, SHARE, PROMPT, SLOW,
  CREEP, CREEP_TIME, CABLE, BEND, LOAD, DRIFT, VISCOUS, DRAG, DRY, FABRIC, WRAP, SURFACE, CABLE_TRAVEL, FABRIC_TRAVEL,
- CABLE_REST, FABRIC_REST, REST_SPEED, MEMORY) = range(len(NAMES))
+ CABLE_REST, FABRIC_REST, REST_SPEED, MEMORY, SHARP) = range(len(NAMES))
 CABLE_NODES: Final = 3
 FABRIC_NODES: Final = 2
 """Nodes with friction of the rope and of the fabric, along which friction and compliance are distributed (decision 50).
@@ -68,6 +68,7 @@ NEAR: Final = 1.0 / 0.4
 FAR: Final = 1.0 / 2.2
 """A node has three friction elements in parallel. The first and third slide after 0.4 and 2.2 times the distance of the
 second; these are the reciprocals."""
+HALF: Final = 0.5 / 0.75
 ROUNDS: Final = 40
 """Most Newton steps in a time step; a step that does not reduce the residual is shortened."""
 CLOSE_N: Final = 1e-7
@@ -146,7 +147,7 @@ def simulate(parameters: Array, rope_m: Array, knee_rad: Array, dt_s: float) -> 
     led = np.zeros((rope_m.size + 1, NODES))
     balance = _Balance(*np.zeros((len(_Balance._fields), NODES + 1)))
     for j, p in enumerate(np.ascontiguousarray(parameters.T)):
-        state = _State(*(np.zeros(shape) for shape in (NODES, NODES, NODES, NODES, (NODES, 3), NODES + 1, 3)))
+        state = _State(*(np.zeros(shape) for shape in (NODES, NODES, NODES, NODES, (NODES, 4), NODES + 1, 3)))
         _run(p, np.ascontiguousarray(rope_m), np.ascontiguousarray(knee_rad), dt_s, state, balance, led, j == 0,
              out[:, j])
     return PathResponse(*out)
@@ -187,7 +188,8 @@ def _dahl(slip, i, moved, turned):  # type: ignore[no-untyped-def]
     s0, s1, s2 = (slip[i, 0] + NEAR * way) * kept0, (slip[i, 1] + way) * kept1, (slip[i, 2] + FAR * way) * kept2
     sign = 1.0 if moved >= 0.0 else -1.0
     turn = turned * (NEAR * (1.0 - s0 * sign) * kept0 + (1.0 - s1 * sign) * kept1 + FAR * (1.0 - s2 * sign) * kept2)
-    return s0, s1, s2, turn
+    root = max(0.0, math.sqrt(max(0.0, 1.0 - slip[i, 3] * sign)) - HALF * size)
+    return s0, s1, s2, sign * (1.0 - root * root), turn, 2.0 * HALF * turned * root
 
 
 @njit(**INLINED)
@@ -236,9 +238,9 @@ def _residual(p, u, w, late, z, a):  # type: ignore[no-untyped-def]
     size = 0.0
     for i in range(NODES):
         moved = a.at[i] - a.rest[i]
-        s0, s1, s2, turn = _dahl(z.slip, i, moved, a.turned[i])
-        slip = (s0 + s1 + s2) / 3.0
-        a.slip[i], a.turn[i] = slip, turn / 3.0
+        s0, s1, s2, s3, turn, turn3 = _dahl(z.slip, i, moved, a.turned[i])
+        slip = (1.0 - p[SHARP]) * (s0 + s1 + s2) / 3.0 + p[SHARP] * s3
+        a.slip[i], a.turn[i] = slip, (1.0 - p[SHARP]) * turn / 3.0 + p[SHARP] * turn3
         # (3) and (7) as forces s·(T0 + T1)·μθ/2: T0/T1 = (1 + μθ/2)/(1 − μθ/2), to second order e^(μθ)
         rub = a.exponent[i] * (a.tension[i] + a.tension[i + 1]) + a.dry[i]
         a.residual[i] = a.tension[i] - a.tension[i + 1] - rub * slip - a.drag[i] * moved
@@ -303,7 +305,7 @@ def _run(p, rope, knee, dt, z, a, led, leads, out):  # type: ignore[no-untyped-d
         _solve(p, u, w, z.retarded[0] + z.retarded[1] + z.retarded[2], z, a)
         for i in range(NODES):
             moved = a.at[i] - a.rest[i]
-            z.slip[i, 0], z.slip[i, 1], z.slip[i, 2], _ = _dahl(z.slip, i, moved, a.turned[i])
+            z.slip[i, 0], z.slip[i, 1], z.slip[i, 2], z.slip[i, 3], _, _ = _dahl(z.slip, i, moved, a.turned[i])
             # backward Euler of v̇s = (v − vs)/τ
             z.speed[i] += (moved / dt - z.speed[i]) * dt / (p[MEMORY] + dt)
             z.position[i], z.before[i], z.moved[i] = a.at[i], z.moved[i], moved
