@@ -483,9 +483,9 @@ def _with(sequence: SessionSequence, k: int, value: float) -> Array:
 
 PARTS: Final[Mapping[str, tuple[str, ...]]] = {
     "cable": ("cable", "bend", "load", "viscous", "dry", "cable_travel", "breakaway", "stribeck_speed",
-              "stribeck_memory", "cable_compliance", "fabric_share", "zero"),
-    "fabric": ("fabric", "wrap", "fabric_travel", "fabric_breakaway", "stiffness", "curve2", "curve3", "fabric_share",
-               "prompt", "slow", "creep_compliance", "creep_time", "zero"),
+              "stribeck_memory", "sharpness", "cable_compliance", "fabric_share", "zero"),
+    "fabric": ("fabric", "wrap", "fabric_travel", "fabric_breakaway", "sharpness", "stiffness", "curve2", "curve3",
+               "fabric_share", "prompt", "slow", "creep_compliance", "creep_time", "zero"),
     "knee": ("play", "gap", "arm", "arm2", "arm3", "zero"),
     "start": ("start_gain", "start_offset", "start_lag"),
     "end": ("end_gain", "end_offset", "end_lag"),

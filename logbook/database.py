@@ -74,14 +74,15 @@ DROP TABLE estimate;
 CREATE TABLE estimate (
     trial INTEGER PRIMARY KEY REFERENCES trial(id), reference INTEGER REFERENCES reference(id), remark TEXT NOT NULL,
     square BLOB, pull BLOB, growth BLOB, motion INTEGER);
-""", "DELETE FROM cause; DELETE FROM estimate", "DELETE FROM cause; DELETE FROM estimate")
+""", "DELETE FROM cause; DELETE FROM estimate", "DELETE FROM cause; DELETE FROM estimate",
+    "DELETE FROM cause; DELETE FROM estimate; DELETE FROM reference")
 """SQL of each version of the schema, applied to the one before it; `PRAGMA user_version` counts them.
 
 The fourth and those from the sixth on drop estimates of single trials, which a later `add` makes anew from the files.
 Sixth: effects have secants, too.  Seventh, with the references: friction is distributed (decision 50).  Eighth: effects
 free more constants (decision 52).  Ninth, with the references: a trial is linearised by its motion (decision 57).
 Tenth: a stiffness may move the zero that homing fixes (decision 60).  Eleventh: the error of the linearisation counts
-as noise (decision 61).  The fifth renames constants."""
+as noise (decision 61).  Twelfth, with the references: pre-sliding has a shape (decision 62).  The fifth renames constants."""
 
 
 class TrialEntry(NamedTuple):

@@ -35,7 +35,7 @@ displacement by which the surface under the fabric moves.  `load`: relative chan
 `friction_drift`: over the trial.  `viscous` N·s/m: viscous friction that a loose rope does not have, `drag` N·s/m: that
 of any taut one; `dry` N: friction that no load changes.  `cable_travel`, `fabric_travel` m: pre-sliding distance.
 `breakaway`, `fabric_breakaway`: relative excess of static over sliding friction, `stribeck_speed` m/s the Stribeck
-speed, `stribeck_memory` s its lag."""
+speed, `stribeck_memory` s its lag.  `sharpness`: share of friction that is full after a finite distance."""
 INDEX: Final = {name: i for i, name in enumerate(NAMES)}
 (ZERO, ARM, ARM2, ARM3, ECC_SIN, ECC_COS, DRUM, PLAY, GAP, STIFF, CURVE2, CURVE3, COMPLIANCE, SHARE, PROMPT, SLOW,
  CREEP, CREEP_TIME, CABLE, BEND, LOAD, DRIFT, VISCOUS, DRAG, DRY, FABRIC, WRAP, SURFACE, CABLE_TRAVEL, FABRIC_TRAVEL,
@@ -68,7 +68,10 @@ NEAR: Final = 1.0 / 0.4
 FAR: Final = 1.0 / 2.2
 """A node has three friction elements in parallel. The first and third slide after 0.4 and 2.2 times the distance of the
 second; these are the reciprocals."""
-HALF: Final = 0.5 / 0.75
+FINITE: Final = 0.67
+"""A fourth element, of Dahl's exponent 1/2, is full after 1.5 times the distance; this is the reciprocal.
+
+With it friction rises from −1 to 0 over the same distance as in the three, so that `sharpness` leaves the distance."""
 ROUNDS: Final = 40
 """Most Newton steps in a time step; a step that does not reduce the residual is shortened."""
 CLOSE_N: Final = 1e-7
@@ -180,7 +183,8 @@ def _begin(p, rope, w, z, a):  # type: ignore[no-untyped-def]
 
 @njit(**INLINED)
 def _dahl(slip, i, moved, turned):  # type: ignore[no-untyped-def]
-    # backward Euler of Dahl's ds/dx = (1 − s·sgn v)/δ: stable for any step; three δ, with one division for all
+    # backward Euler of Dahl's ds/dx = (1 − s·sgn v)/δ: stable for any step; three δ, with one division for all.  The
+    # fourth is the exact step of ds/dx = √(1 − s·sgn v)/δ (Dahl 1968, exponent ½): √(1 − s·sgn v) falls linearly
     way, size = moved * turned, abs(moved) * turned
     d0, d1, d2 = 1.0 + NEAR * size, 1.0 + size, 1.0 + FAR * size
     whole = 1.0 / (d0 * d1 * d2)
@@ -188,8 +192,8 @@ def _dahl(slip, i, moved, turned):  # type: ignore[no-untyped-def]
     s0, s1, s2 = (slip[i, 0] + NEAR * way) * kept0, (slip[i, 1] + way) * kept1, (slip[i, 2] + FAR * way) * kept2
     sign = 1.0 if moved >= 0.0 else -1.0
     turn = turned * (NEAR * (1.0 - s0 * sign) * kept0 + (1.0 - s1 * sign) * kept1 + FAR * (1.0 - s2 * sign) * kept2)
-    root = max(0.0, math.sqrt(max(0.0, 1.0 - slip[i, 3] * sign)) - HALF * size)
-    return s0, s1, s2, sign * (1.0 - root * root), turn, 2.0 * HALF * turned * root
+    root = max(0.0, math.sqrt(max(0.0, 1.0 - slip[i, 3] * sign)) - FINITE * size)
+    return s0, s1, s2, sign * (1.0 - root * root), turn, 2.0 * FINITE * turned * root
 
 
 @njit(**INLINED)
@@ -235,12 +239,12 @@ def _residual(p, u, w, late, z, a):  # type: ignore[no-untyped-def]
         a.tension[i] = stiff * e * (1.0 + e * (c2 + e * c3))
         a.slope[i] = stiff * (1.0 + e * (2.0 * c2 + 3.0 * e * c3)) * 0.5 * (1.0 + y / root) * a.per_stretch[i]
         ahead = behind
-    size = 0.0
+    size, gradual = 0.0, (1.0 - p[SHARP]) / 3.0
     for i in range(NODES):
         moved = a.at[i] - a.rest[i]
         s0, s1, s2, s3, turn, turn3 = _dahl(z.slip, i, moved, a.turned[i])
-        slip = (1.0 - p[SHARP]) * (s0 + s1 + s2) / 3.0 + p[SHARP] * s3
-        a.slip[i], a.turn[i] = slip, (1.0 - p[SHARP]) * turn / 3.0 + p[SHARP] * turn3
+        slip = p[SHARP] * s3 + gradual * (s0 + s1 + s2)
+        a.slip[i], a.turn[i] = slip, p[SHARP] * turn3 + gradual * turn
         # (3) and (7) as forces s·(T0 + T1)·μθ/2: T0/T1 = (1 + μθ/2)/(1 − μθ/2), to second order e^(μθ)
         rub = a.exponent[i] * (a.tension[i] + a.tension[i + 1]) + a.dry[i]
         a.residual[i] = a.tension[i] - a.tension[i + 1] - rub * slip - a.drag[i] * moved

@@ -68,7 +68,7 @@ TABLE: Final = (
     _C("fabric_breakaway", "", 0.1, "positive", 0.35, 0.05, "static over sliding friction of the fabric, less 1", 0.04),
     _C("stribeck_speed", "m/s", 0.01, "log", 0.8, 0.1, "Stribeck speed"),
     _C("stribeck_memory", "s", 0.02, "log", 0.6, 0.06, "lag of friction behind the sliding speed"),
-    _C("sharpness", "", 0.0, "linear", 0.5, 0.05, "share of friction that is full after a finite distance"),
+    _C("sharpness", "", 0.2, "linear", 0.4, 0.05, "share of friction that is full after a finite distance"),
     _C("start_gain", "", 1.0, "linear", 0.003, 0.003, "gain of START; maker's class 0.3 %"),
     _C("start_offset", "N", 0.0, "linear", 0.15, 0.1, "zero of START"),
     _C("start_drift", "N", 0.0, "linear", 0.05, 0.1, "zero drift of START over the trial; session: as the zero"),
@@ -97,9 +97,10 @@ BOUNDS: Final = {
     "curve2": (-0.12, 6.0), "load": (-0.9, 0.9), "bend": (-1.5, 2.0), "wrap": (-1.5, 1.95),
     "friction_drift": (-0.95, 3.0), "drag": (-20.0, 200.0), "demand_gain": (0.3, 3.0), "start_gain": (0.3, 3.0),
     "end_gain": (0.3, 3.0), "start_lag": (-0.05, 0.1), "end_lag": (-0.05, 0.1), "drive_asymmetry": (-2.0, 2.0),
-    "surface": (-6.0, 6.0), "sharpness": (-0.6, 1.3), "stribeck_speed": (-1.6, 1.6)}
+    "surface": (-6.0, 6.0), "sharpness": (-0.5, 1.0), "stribeck_speed": (-1.6, 1.6)}
 """Bounds that keep the force balance solvable: rising force over stretch, positive friction.  Of `surface`, in its
-coordinate: where the surface is the leg's own, a share of 0.96 would slide the fabric over its pre-sliding distance."""
+coordinate: where the surface is the leg's own, a share of 0.96 would slide the fabric over its pre-sliding distance.
+Of `sharpness`: between them friction rises steadily along the distance."""
 CONSTANTS: Final = ConstantTable(TABLE, BOUNDS)
 INDEX: Final = CONSTANTS.index
 NAMES: Final = CONSTANTS.names
