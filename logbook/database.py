@@ -82,7 +82,8 @@ The fourth and those from the sixth on drop estimates of single trials, which a 
 Sixth: effects have secants, too.  Seventh, with the references: friction is distributed (decision 50).  Eighth: effects
 free more constants (decision 52).  Ninth, with the references: a trial is linearised by its motion (decision 57).
 Tenth: a stiffness may move the zero that homing fixes (decision 60).  Eleventh: the error of the linearisation counts
-as noise (decision 61).  Twelfth, with the references: pre-sliding has a shape (decision 62).  The fifth renames constants."""
+as noise (decision 61).  Twelfth, with the references: pre-sliding has a shape (decision 62).  The fifth renames
+constants."""
 
 
 class TrialEntry(NamedTuple):

@@ -89,8 +89,8 @@ def _runs_out(values: Values) -> tuple[Variant, ...]:
 
 def _yields(values: Values) -> tuple[Variant, ...]:
     both = (({"cable_travel": 1.0, "fabric_travel": 1.0}, 1.0), ({"cable_travel": 1.0, "fabric_travel": -1.0}, 0.4))
-    # over another travel friction lags the sliding speed by another time, is full at another speed, and the shape of its
-    # rise shows, which reference trials with a short travel hardly determine
+    # over another travel friction lags the sliding speed by another time and is full at another speed, and the shape of
+    # its rise shows, which reference trials with a short travel hardly determine
     return (_frees(*both), _frees(*both, ({"stribeck_memory": 1.0}, 0.4), ({"stribeck_speed": 1.0}, 0.4),
                                   ({"sharpness": 1.0}, 0.3)),
             _frees(({"cable_travel": 1.0}, 1.0)), _frees(({"fabric_travel": 1.0}, 1.0)))
