@@ -91,6 +91,20 @@ def test_a_surface_that_is_the_legs_own_slides_under_no_fabric() -> None:
     assert turned[0] < 0.1 * turned[1]
 
 
+def test_sharp_friction_turns_over_half_way_as_soon_and_is_full_after_a_finite_distance() -> None:
+    # a rope that does not stretch before the sheath's end moves its nodes as the drum does
+    up, travel = np.linspace(-2e-3, 10e-3, 4000), 1e-3
+    rope, knee, back = np.concatenate([up, up[::-1]]), np.full(8000, force_path.KNEE_RAD), up[-1] - up[::-1]
+    slip = {share: force_path.simulate(path(sharpness=share, cable_travel=travel, cable=1e-3, cable_compliance=1e-8),
+                                       rope, knee, GRID_S).cable_slip[0][4000:] for share in (0.0, 1.0)}
+    half = [float(np.interp(0.0, -each, back)) for each in slip.values()]
+    # `FINITE` has two digits
+    assert half[0] == pytest.approx(half[1], rel=0.01)
+    beyond = back > 1.05 * math.sqrt(2.0) * travel / force_path.FINITE
+    assert slip[1.0][beyond][0] == pytest.approx(-1.0)
+    assert slip[0.0][beyond][0] > -0.9
+
+
 def test_half_the_step_changes_little() -> None:
     rope, knee = ramp()
     fine = np.interp(np.arange(0.0, 4.0, GRID_S / 2), np.arange(0.0, 4.0, GRID_S), rope)
