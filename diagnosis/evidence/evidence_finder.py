@@ -348,6 +348,7 @@ def _split(found: TrialModes, decided: Decision, reference: ReferenceFit, read: 
     No reference trial has the motion of an experiment, so the model error there is estimated from the residual of the
     best effect of the set.  An effect is removed if the evidence of another one is `NAMED_NATS` higher or more.  If
     even the best effect needs constants far outside the session scatter (`DOUBTED`), None: the set stays as it is.
+    So it does if another effect is best with that model error.
     """
     observed = reference.observe(*read, *others)
     modes = _refitted(found, {name: found.single[name] for name in decided.among}, observed)
@@ -359,9 +360,9 @@ def _split(found: TrialModes, decided: Decision, reference: ReferenceFit, read: 
         observed.each(weight), observed.each(squares), strict=True)]
     weight[known:] = np.concatenate(scaled)[known:]
     observed = replace(observed, weight=weight)
-    modes = _refitted(found, modes, observed)
+    first, modes = max(modes, key=lambda name: modes[name].log_evidence), _refitted(found, modes, observed)
     best = max(modes.values(), key=lambda at: at.log_evidence)
-    if best.cost > DOUBTED * observed.count:
+    if best.cost > DOUBTED * observed.count or modes[first] is not best:
         return None
     kept = tuple(sorted((name for name, at in modes.items() if at.log_evidence > best.log_evidence - NAMED_NATS),
                         key=lambda name: -modes[name].log_evidence))
