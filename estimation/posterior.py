@@ -183,7 +183,7 @@ class PosteriorMode:
 
     @cached_property
     def departure(self) -> SessionDeparture:
-        """SessionDeparture from the prior's mean, in prior σ.
+        """Departure from the prior's mean, in prior σ.
 
         The data determine n − tr (I + LᵀHᵀWHL)⁻¹ directions of n (MacKay 1992, effective number of parameters).
         """

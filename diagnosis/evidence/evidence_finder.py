@@ -360,8 +360,10 @@ def _split(found: TrialModes, decided: Decision, reference: ReferenceFit, read: 
         observed.each(weight), observed.each(squares), strict=True)]
     weight[known:] = np.concatenate(scaled)[known:]
     observed = replace(observed, weight=weight)
-    first, modes = max(modes, key=lambda name: modes[name].log_evidence), _refitted(found, modes, observed)
+    first = max(modes, key=lambda name: modes[name].log_evidence)
+    modes = _refitted(found, modes, observed)
     best = max(modes.values(), key=lambda at: at.log_evidence)
+    # σ² is what the first effect leaves; if another one is best with it, the model error there is not known
     if best.cost > DOUBTED * observed.count or modes[first] is not best:
         return None
     kept = tuple(sorted((name for name, at in modes.items() if at.log_evidence > best.log_evidence - NAMED_NATS),

@@ -71,7 +71,7 @@ second; these are the reciprocals."""
 FINITE: Final = 0.67
 """A fourth element, of Dahl's exponent 1/2, is full after 1.5 times the distance; this is the reciprocal.
 
-With it friction rises from −1 to 0 over the same distance as in the three, so that `sharpness` leaves the distance."""
+With it friction rises from −1 to 0 over the same distance as in the three, whatever the `sharpness`."""
 ROUNDS: Final = 40
 """Most Newton steps in a time step; a step that does not reduce the residual is shortened."""
 CLOSE_N: Final = 1e-7
