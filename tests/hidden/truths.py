@@ -141,7 +141,9 @@ def _second(asked: Question) -> Drawn:
     trial, further = made(asked.hidden, seed, noise[0]), made(asked.hidden, seed, noise[0], other=True)
     same = made(["null"], 50000 + seed, noise[1], draws=False)
     exact = made(asked.hidden, seed, 0.0)
-    repeat = _moved(exact, _difference(same, made(["null"], 50000 + seed, 0.0, draws=False)))
+    # a gain in per cent depends on the sensors' noise, so the repeat has the trial's
+    other_noise = _difference(same, made(["null"], 50000 + seed, 0.0, draws=False))
+    repeat = _moved(exact, noise[0] / noise[1] * other_noise)
     if asked.hidden == ("null",):
         return Drawn(references, same, trial, repeat, further, 0.0, np.zeros_like(_tensions(trial)))
     base = made(["null"], seed, 0.0)
