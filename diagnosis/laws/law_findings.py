@@ -37,6 +37,13 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     search = LawSearch(observed, reference.prior_of(observed), reference, blocks, variants)
     chosen, at, fault = list[Candidate](), search.first, ""
     base, runners = search.base, list[Candidate]()
+    held: dict[tuple[int, bool], Array] = {}
+
+    def without(terms: Sequence[Candidate], at: PosteriorMode, simulates: bool) -> Array:
+        key = len(terms), simulates  # of a number of chosen terms there is one set
+        if key not in held:
+            held[key] = search.predicted(terms, at, simulates)
+        return held[key]
 
     def figures(before: Array, after: Array) -> dict[str, Figures]:
         return HeldOut(observed, reference.missed(observed), before, after, blocks).figures(reference)
@@ -44,28 +51,32 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     while len(chosen) < MOST_TERMS:
         offers = search.further(chosen, at)
         # the evidence of a screen is linear, so that fits decide between nearly equal candidates
-        tried: list[tuple[bool, float, int, list[Candidate], PosteriorMode]] = []
-        for offer in [c for c in offers if c.nats >= CLOSE_CALL * offers[0].nats][:1 if chosen else TRIED]:
-            more = search.swapped([*chosen, offer], at) if chosen else [offer]
-            there = search.fitted(more, at if chosen else None)
-            before, after = (search.predicted(*fit) for fit in ((chosen, base), (more, there)))
+        near = [c for c in offers if c.nats >= CLOSE_CALL * offers[0].nats][:1 if chosen else TRIED]
+        fitted = [(more, search.fitted(more, at if chosen else None)) for more in (
+            search.swapped([*chosen, offer], at) if chosen else [offer] for offer in near)]
+        taken: tuple[list[Candidate], PosteriorMode] | None = None
+        for more, there in sorted(fitted, key=lambda fit: -fit[1].log_evidence):
+            before, after = without(chosen, base, False), search.predicted(more, there)
             if worse(figures(before, after)):
-                before, after = (search.predicted(*fit, True) for fit in ((chosen, base), (more, there)))
+                before, after = without(chosen, base, True), search.predicted(more, there, True)
             errors, least = figures(before, after), search.errors.least_falls(before - after)
-            fault = worse(errors) or unconfirmed(errors, least)
+            reason = worse(errors) or unconfirmed(errors, least)
+            if not reason:
+                taken, fault = (more, there), ""
+                break
+            fault = fault or reason
             # where the model is wrong, any bump that fits its error takes a little of the departure
-            back = not chosen and not worse(errors) and departure(observed, there) <= min(
-                DOUBTED, search.departed / DOUBTED) and search.departed > DOUBTED
-            if not fault or back:
-                tried.append((bool(fault), -there.log_evidence, len(tried), more, there))
-        if not tried:
+            if taken is None and not chosen and not worse(errors) and departure(observed, there) <= min(
+                    DOUBTED, search.departed / DOUBTED) and search.departed > DOUBTED:
+                taken = more, there
+        if taken is None:
             break
-        more, there = min(tried)[3:]
+        more, there = taken
         runners = runners or [c for c in offers if c.shape != more[0].shape and c.nats > SET_SHARE * offers[0].nats]
         # once more, with the columns linearised there
         chosen, fault = more, ""
         base = at = search.fitted(more, there)
-    session = search.predicted([], search.base, bool(chosen))
+    session = without([], search.base, bool(chosen))
     return Laws(search.terms(chosen, at), [c.nats for c in chosen], figures(
         session, search.predicted(chosen, at, True) if chosen else session),
                 [(f"{c.carrier} × {c.modulation}", c.nats) for c in runners] if chosen else [], search.size, fault,
