@@ -59,6 +59,15 @@ class PathModel(ForwardModel):
     session_shares = (0.0, 0.7, 1.4)
     unlike_share = 0.2
     amounts: Mapping[str, tuple[str, float]] = {"creep_time": ("creep_compliance", 1.5e-5)}
+    relative = ("drive_coulomb", "drive_viscous", "drive_inertia")
+    """Their session deviation is a share of the bench's own value: a drive of twice the friction differs by twice."""
+
+    def session_at(self, q: Array) -> Array:
+        """Return 1σ between sessions of each constant, in coordinates, of a bench at coordinates `q`."""
+        sd, rows = self.constants.session_sd.copy(), [INDEX[name] for name in self.relative]
+        middle = np.array([self.constants.rows[i].middle for i in rows])
+        sd[rows] *= np.maximum(1.0, np.abs(1.0 + q[rows] / middle))
+        return sd
 
     def lacking(self, table: Table) -> list[str]:
         """Return the needed columns that a trial does not have."""
