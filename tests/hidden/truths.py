@@ -1,6 +1,7 @@
-"""Trials of two simulated rigs whose structure shares nothing with the product's model, and an oracle of their effects.
+"""Trials of simulated rigs whose structure shares nothing with the product's model, and an oracle of their effects.
 
-The rigs are not part of the project: `TRUTHS` is their folder, and what needs it is skipped where it is absent.
+Two rigs, `STRUCTURES`, are not part of the project: `TRUTHS` is their folder, and what needs it is skipped where it is
+absent.  The rig `rate_state` is in this folder.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import functools
 import importlib.util
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -18,6 +19,7 @@ import numpy as np
 
 from physics.effects.hypotheses import HYPOTHESES
 from physics.laws import Array
+from tests.hidden import rate_state
 
 TRUTHS: Final = Path(__file__).resolve().parents[3] / "shared" / "truths"
 STRUCTURES: Final = ("truth1", "truth2")
@@ -90,7 +92,7 @@ def rig(structure: str) -> ModuleType:
 
 def draw(asked: Question) -> Drawn:
     """Return the trials of one case, drawn as the rig's own command draws them."""
-    return (_first if asked.structure == "truth1" else _second)(asked)
+    return {"truth1": _first, "truth2": _second, "rate_state": _rate_state}[asked.structure](asked)
 
 
 def alike(name: str) -> tuple[str, ...]:
@@ -186,6 +188,35 @@ def _first(asked: Question) -> Drawn:
     steps = [_difference(made(["null"], seed, {**nominal, name: value}), base) for name, value in (
         ("mu1", 1.03 * nominal["mu1"]), ("mu2", 1.05 * nominal["mu2"]), ("kf0", 1.03 * nominal["kf0"]), ("x0", 0.2))]
     return Drawn(references, same, trial, repeat, further, _separation(clean, steps, base, 0.2), clean)
+
+
+def _rate_state(asked: Question) -> Drawn:
+    def random(*stream: int) -> np.random.Generator:
+        return np.random.default_rng([asked.seed, *stream])
+
+    bench = rate_state.draw_bench(random(0))
+    noise = random(1).uniform(0.06, 0.3, 4)  # N, of two references, the trial, and a reference of its motion
+    sessions = [rate_state.draw_session(bench, random(2, k)) for k in range(4)]
+    motions = [rate_state.draw_motion(bench, random(3, k), cycles) for k, cycles in enumerate((12, 12, 10, 10))]
+    own, motion, other_motion, simulate = sessions[2], *motions[2:], rate_state.simulate
+    with_effect = rate_state.altered(own, asked.hidden, random(4))
+
+    def read(columns: rate_state.Columns, session: int, recording: int) -> dict[str, Array]:
+        return rate_state.measured(columns, bench, float(noise[session]), random(5, recording))
+
+    exact = simulate(with_effect, motion)
+    given = (tuple(read(simulate(sessions[k], motions[k]), k, k) for k in range(2)),
+             read(simulate(sessions[3], motion), 3, 3), read(exact, 2, 2), read(exact, 2, 4),
+             read(simulate(with_effect, other_motion), 2, 5))
+    if asked.hidden == ("null",):
+        return Drawn(*given, 0.0, np.zeros_like(_tensions(exact)))
+    base = simulate(own, motion)
+    clean = _difference(exact, base)
+    stepped = [replace(own, **{name: getattr(own, name) * (1.0 + sd)}) for name, sd in (
+        ("cable_friction", 0.03), ("fabric_friction", 0.05), ("stiffness", 0.03))]
+    steps = [_difference(simulate(constants, motion), base) for constants in stepped]
+    steps.append(_difference(simulate(own, motion._replace(rope=motion.rope + 2e-4)), base))
+    return Drawn(*given, _separation(clean, steps, base, float(noise[2])), clean)
 
 
 def _with(module: ModuleType, name: str, other: Any, run: Callable[[], dict[str, Array]]) -> dict[str, Array]:

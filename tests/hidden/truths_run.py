@@ -4,6 +4,8 @@
                                       [--structures truth1,truth2] [--motion] [--alone] [--hash] [--workers N]
                                       [--answers FILE]
 
+The structures `truth1` and `truth2` need the folder ../shared/truths; `--structures rate_state` needs no such folder.
+
 `--motion` gives the diagnosis a reference trial of the trial's own motion, too, `--alone` that one only.  Answers
 are stored with the commit, and a run that was broken off goes on from there.
 """
@@ -179,7 +181,8 @@ def main(arguments: list[str]) -> None:
     for name, count in (("--first", 1000), ("--singles", 20), ("--healthy", 8), ("--pairs", 0), ("--outside", 0),
                         ("--workers", 1)):
         parser.add_argument(name, type=int, default=count)
-    parser.add_argument("--structures", default=",".join(truths.STRUCTURES))
+    parser.add_argument("--structures", default=",".join(truths.STRUCTURES),
+                        help="comma-separated; rate_state needs no folder ../shared, truth1 and truth2 do")
     parser.add_argument("--motion", action="store_true")
     parser.add_argument("--alone", action="store_true")
     parser.add_argument("--hash", action="store_true")
