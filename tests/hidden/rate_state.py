@@ -1,8 +1,8 @@
 """Simulated Bowden cable–fabric rig with rate-and-state friction: rigs by seed, effects, motions and readings.
 
-The structure shares nothing with the package's models, and a recording needs no file.  SI units: m, N, s, rad; the
-rope's pull is positive, knee flexion is negative.  Rule of this file: numpy only, and nothing of the package is
-imported.
+The force path is in `rate_state_path`.  Its structure shares nothing with the package's models, and a recording needs
+no file.  SI units: m, N, s, rad; the rope's pull is positive, knee flexion is negative.
+Rule of this file: numpy only, and nothing of the package is imported.
 """
 
 from __future__ import annotations
@@ -38,7 +38,10 @@ Fitted to typical flexion: 18° in the loading response, 5° in late stance, 61�
 
 
 class Size(NamedTuple):
-    """Range of an effect's size, and whether the sign is drawn; `field` of `Bench`, `scales`: relative to its value."""
+    """Range of an effect's size in SI units, or relative to the value of `field` of `Bench` if `scales`.
+
+    `signed`: the sign is drawn, too.
+    """
 
     field: str
     smallest: float
@@ -92,7 +95,7 @@ def draw_bench(random: np.random.Generator) -> Bench:
 
 
 def draw_session(bench: Bench, random: np.random.Generator) -> Bench:
-    """Return `bench` in a session of its own: friction, stiffness, servo zero, gains and offsets of the load cells."""
+    """Return `bench` with the scatter of one session: friction, stiffness, servo zero, and errors of the load cells."""
     n = random.standard_normal(8)
     return replace(
         bench, cable_friction=bench.cable_friction * (1.0 + 0.03 * n[0]), stiffness=1.0 + 0.03 * n[2],
@@ -103,7 +106,7 @@ def draw_session(bench: Bench, random: np.random.Generator) -> Bench:
 def altered(bench: Bench, hidden: Sequence[str], random: np.random.Generator) -> Bench:
     """Return `bench` with the hidden effects at drawn sizes; raise KeyError at an unknown effect.
 
-    `null` changes nothing; `null_alt` changes constants of pre-sliding, creep and sheath that no effect stands for.
+    `null` changes nothing; `null_alt` changes the constants of `NULL_ALT`, which are no effect of the catalogue.
     """
     for name in hidden:
         changes: dict[str, Any] = {}
@@ -133,7 +136,7 @@ def draw_motion(bench: Bench, random: np.random.Generator, cycles: int) -> Motio
     rise = np.interp(stride, [0.0, onset, top, end, 1.0], [0.0, 0.0, 0.5, 1.0, 1.0])  # its fall is slower
     peaks = random.uniform(30.0, 55.0, cycles)[cycle]
     desired = np.maximum(4.0, _smooth(5.5 + (peaks - 5.5) * np.sin(np.pi * rise) ** 2, 25.0))
-    wander = _smooth(random.standard_normal(stride.size), 6.0)
+    wander = _smooth(random.standard_normal(stride.size + 1000), 6.0)[500:-500]  # its ends keep the white noise
     elastic = np.array([elastic_stretch(bench, force) for force in desired.tolist()])
     crept = sum((full * _lag(elastic, s) for full, s in zip(kelvin_shares(bench), KELVIN_S, strict=True)), elastic)
     mean = desired * math.exp(0.4 * bench.cable_friction * bench.cable_bend + 0.4 * bench.fabric_friction)
@@ -142,7 +145,7 @@ def draw_motion(bench: Bench, random: np.random.Generator, cycles: int) -> Motio
 
 
 def _draw_knee(random: np.random.Generator, stride: Array, cycle: NDArray[np.int64]) -> Array:
-    """Return a knee angle, rad, of 50° to 70° range over places in the stride, 0 to 1, whose size varies by 2 %."""
+    """Return knee angles, rad, at places in the stride, 0 to 1: their range of 50° to 70° varies by 2 %."""
     nominal = np.array(KNEE_HARMONICS)
     amplitudes = nominal[:, 0] * (1.0 + 0.1 * random.standard_normal(len(nominal)))
     phases = nominal[:, 1] + 0.1 * random.standard_normal(len(nominal))

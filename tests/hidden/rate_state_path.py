@@ -272,7 +272,7 @@ class _ForcePath:
             if not low < start < high:
                 start = 0.5 * (low + high) if high < math.inf else low + 5.0
             start = max(start, SLACK_N)
-        raise RuntimeError(f"no equilibrium: START between {low} and {high} N leaves a gap of {gap} m")
+        raise RuntimeError(f"no equilibrium: START in [{low}, {high}] N, gap {gap} m at the anchor")
 
     def _gap(self, tension: float) -> tuple[float, float]:
         """Return how far the path of a START tension ends beyond the anchor, m, and its END tension, N."""

@@ -205,18 +205,18 @@ def _rate_state(asked: Question) -> Drawn:
         return rate_state.measured(columns, bench, float(noise[session]), random(5, recording))
 
     exact = simulate(with_effect, motion)
-    given = (tuple(read(simulate(sessions[k], motions[k]), k, k) for k in range(2)),
-             read(simulate(sessions[3], motion), 3, 3), read(exact, 2, 2), read(exact, 2, 4),
-             read(simulate(with_effect, other_motion), 2, 5))
+    recorded = (tuple(read(simulate(sessions[k], motions[k]), k, k) for k in range(2)),
+                read(simulate(sessions[3], motion), 3, 3), read(exact, 2, 2), read(exact, 2, 4),
+                read(simulate(with_effect, other_motion), 2, 5))
     if asked.hidden == ("null",):
-        return Drawn(*given, 0.0, np.zeros_like(_tensions(exact)))
+        return Drawn(*recorded, 0.0, np.zeros_like(_tensions(exact)))
     base = simulate(own, motion)
     clean = _difference(exact, base)
     stepped = [replace(own, **{name: getattr(own, name) * (1.0 + sd)}) for name, sd in (
         ("cable_friction", 0.03), ("fabric_friction", 0.05), ("stiffness", 0.03))]
     steps = [_difference(simulate(constants, motion), base) for constants in stepped]
     steps.append(_difference(simulate(own, motion._replace(rope=motion.rope + 2e-4)), base))
-    return Drawn(*given, _separation(clean, steps, base, float(noise[2])), clean)
+    return Drawn(*recorded, _separation(clean, steps, base, float(noise[2])), clean)
 
 
 def _with(module: ModuleType, name: str, other: Any, run: Callable[[], dict[str, Array]]) -> dict[str, Array]:
