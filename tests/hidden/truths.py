@@ -91,7 +91,7 @@ def rig(structure: str) -> ModuleType:
 
 
 def draw(asked: Question) -> Drawn:
-    """Return the trials of one case, drawn as the rig's own command draws them."""
+    """Return the trials of one case; those of `TRUTHS` are drawn as the rig's own command draws them."""
     return {"truth1": _first, "truth2": _second, "rate_state": _rate_state}[asked.structure](asked)
 
 
