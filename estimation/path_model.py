@@ -65,8 +65,8 @@ class PathModel(ForwardModel):
     def session_at(self, q: Array) -> Array:
         """Return 1σ between sessions of each constant, in coordinates, of a bench at coordinates `q`."""
         sd, rows = self.constants.session_sd.copy(), [INDEX[name] for name in self.relative]
-        middle = np.array([self.constants.rows[i].middle for i in rows])
-        sd[rows] *= np.maximum(1.0, np.abs(1.0 + q[rows] / middle))
+        own, middle = (self.constants.values(at)[rows] for at in (q, np.zeros_like(q)))
+        sd[rows] *= np.maximum(1.0, np.abs(own / middle))
         return sd
 
     def lacking(self, table: Table) -> list[str]:

@@ -75,7 +75,8 @@ CREATE TABLE estimate (
     trial INTEGER PRIMARY KEY REFERENCES trial(id), reference INTEGER REFERENCES reference(id), remark TEXT NOT NULL,
     square BLOB, pull BLOB, growth BLOB, motion INTEGER);
 """, "DELETE FROM cause; DELETE FROM estimate", "DELETE FROM cause; DELETE FROM estimate",
-    *("DELETE FROM cause; DELETE FROM estimate; DELETE FROM reference",) * 2)
+    "DELETE FROM cause; DELETE FROM estimate; DELETE FROM reference",
+    "DELETE FROM cause; DELETE FROM estimate; DELETE FROM reference")
 """SQL of each version of the schema, applied to the one before it; `PRAGMA user_version` counts them.
 
 The fourth and those from the sixth on drop estimates of single trials, which a later `add` makes anew from the files.

@@ -1,6 +1,7 @@
 """Selection of the terms that extend the model: evidence proposes them, held-out cycles decide."""
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -35,48 +36,50 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     """
     blocks = blocks_of(tables, observed.trials)
     search = LawSearch(observed, reference.prior_of(observed), reference, blocks, variants)
-    chosen, at, fault = list[Candidate](), search.first, ""
-    base, runners = search.base, list[Candidate]()
-    held: dict[tuple[int, bool], Array] = {}
+    fault, runners = "", list[Candidate]()
+    fits = [(list[Candidate](), search.base)]  # terms and mode with none, one, … of them
 
-    def without(terms: Sequence[Candidate], at: PosteriorMode, simulates: bool) -> Array:
-        key = len(terms), simulates  # of a number of chosen terms there is one set
-        if key not in held:
-            held[key] = search.predicted(terms, at, simulates)
-        return held[key]
+    @cache
+    def without(terms: int, simulates: bool) -> Array:
+        return search.predicted(*fits[terms], simulates)
 
     def figures(before: Array, after: Array) -> dict[str, Figures]:
         return HeldOut(observed, reference.missed(observed), before, after, blocks).figures(reference)
 
-    while len(chosen) < MOST_TERMS:
+    def reason_against(more: list[Candidate], there: PosteriorMode) -> tuple[str, bool]:
+        """Return why terms are not kept, "" if they are, and whether they bring the session back into its scatter."""
+        count = len(more) - 1
+        before, after = without(count, False), search.predicted(more, there)
+        if worse(figures(before, after)):
+            before, after = without(count, True), search.predicted(more, there, True)
+        errors, least = figures(before, after), search.errors.least_falls(before - after)
+        # where the model is wrong, any bump that fits its error takes a little of the departure
+        back = not count and not worse(errors) and departure(observed, there) <= min(
+            DOUBTED, search.departed / DOUBTED) and search.departed > DOUBTED
+        return worse(errors) or unconfirmed(errors, least), back
+
+    while len(fits) <= MOST_TERMS:
+        chosen, at = fits[-1][0], fits[-1][1] if fits[-1][0] else search.first
         offers = search.further(chosen, at)
         # the evidence of a screen is linear, so that fits decide between nearly equal candidates
         near = [c for c in offers if c.nats >= CLOSE_CALL * offers[0].nats][:1 if chosen else TRIED]
-        fitted = [(more, search.fitted(more, at if chosen else None)) for more in (
+        offered = [(more, search.fitted(more, at if chosen else None)) for more in (
             search.swapped([*chosen, offer], at) if chosen else [offer] for offer in near)]
-        taken: tuple[list[Candidate], PosteriorMode] | None = None
-        for more, there in sorted(fitted, key=lambda fit: -fit[1].log_evidence):
-            before, after = without(chosen, base, False), search.predicted(more, there)
-            if worse(figures(before, after)):
-                before, after = without(chosen, base, True), search.predicted(more, there, True)
-            errors, least = figures(before, after), search.errors.least_falls(before - after)
-            reason = worse(errors) or unconfirmed(errors, least)
+        kept: tuple[list[Candidate], PosteriorMode] | None = None
+        for fit in sorted(offered, key=lambda fit: -fit[1].log_evidence):
+            reason, back = reason_against(*fit)
             if not reason:
-                taken, fault = (more, there), ""
+                kept = fit
                 break
-            fault = fault or reason
-            # where the model is wrong, any bump that fits its error takes a little of the departure
-            if taken is None and not chosen and not worse(errors) and departure(observed, there) <= min(
-                    DOUBTED, search.departed / DOUBTED) and search.departed > DOUBTED:
-                taken = more, there
-        if taken is None:
+            fault, kept = fault or reason, kept or (fit if back else None)
+        if kept is None:
             break
-        more, there = taken
+        more, fault = kept[0], ""
         runners = runners or [c for c in offers if c.shape != more[0].shape and c.nats > SET_SHARE * offers[0].nats]
         # once more, with the columns linearised there
-        chosen, fault = more, ""
-        base = at = search.fitted(more, there)
-    session = without([], search.base, bool(chosen))
+        fits.append((more, search.fitted(*kept)))
+    chosen, at = fits[-1]
+    session = without(0, bool(chosen))
     return Laws(search.terms(chosen, at), [c.nats for c in chosen], figures(
         session, search.predicted(chosen, at, True) if chosen else session),
                 [(f"{c.carrier} × {c.modulation}", c.nats) for c in runners] if chosen else [], search.size, fault,

@@ -48,7 +48,7 @@ def test_a_law_that_was_promoted_is_named_by_a_diagnosis(bowden: Run, here: Path
     size, start = (found["causes"][0]["parameters"][name] for name in ("size", "from_n"))
     if law["carrier"] == "end_gain":
         assert start["low"] < 25.0 < start["high"]
-    else:  # the line nearest to 40 N/30 N · 0.2 · (T − 25 N) · T/40 N, which bends, begins later
+    else:  # the line nearest to T·(T − 25 N) begins at 26.2 N if T is evenly 25 to 40 N, later in a gait
         assert 25.0 < start["value"] < 28.0
     # force that is missing at 40 N: 4 N; an effect's equation is good to a tenth
     missing = size["value"] * (40.0 - start["value"]) / 30.0 * (40.0 if law["carrier"] == "end_gain" else 1.0)

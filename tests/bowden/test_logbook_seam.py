@@ -90,17 +90,18 @@ def test_a_change_of_friction_is_stated_where_sessions_are_beyond_the_linear_mod
     assert "friction" in bowden("logbook", "show", "book").stdout.splitlines()[0]
 
 
-@pytest.mark.xfail(strict=True, reason="the fit of the reference trials stays in a minimum some 20 nats worse than the "
-                   "best known one; two of the three repeats have 20 nats of viscous friction")
+STAYS: Final = pytest.mark.xfail(strict=True, reason="the fit of the reference trials stays in a minimum some 20 nats "
+                                 "worse than the best known one: 20 nats of viscous friction (decision 63)")
+
+
 @pytest.mark.exhaustive
-def test_repeats_in_the_reference_condition_have_no_name_where_reference_trials_have_several_minima(
-        here: Path, bowden: Callable[..., Any]) -> None:
-    # at the minimum from the last reference trial's mode, these repeats have 14 to 17 nats of viscous friction
-    # (decision 49)
+@pytest.mark.parametrize("repeat", [3, pytest.param(5, marks=STAYS), pytest.param(8, marks=STAYS)])
+def test_a_repeat_in_the_reference_condition_has_no_name_where_reference_trials_have_several_minima(
+        here: Path, bowden: Callable[..., Any], repeat: int) -> None:
+    # a bench with 22 N·s/m in its drive, which differ by 2 sigma between sessions
     own = draws.draw(0, implementation="dahl")
     motion = imposed.gait(own, 40.0, 1.2, 6)
-    paths = [_recorded(here / f"{k}.csv", like(own, np.random.default_rng((0, k, 17))), k, motion)
-             for k in (0, 1, 2, 3, 5, 8)]
-    for repeat in paths[3:]:
-        found = json.loads(bowden("diagnose", repeat, "--healthy", *paths[:3], "--json").stdout)
-        assert (found["verdict"], found["causes"]) == ("none", []), repeat
+    *healthy, trial = (_recorded(here / f"{k}.csv", like(own, np.random.default_rng((0, k, 17))), k, motion)
+                       for k in (0, 1, 2, repeat))
+    found = json.loads(bowden("diagnose", trial, "--healthy", *healthy, "--json").stdout)
+    assert (found["verdict"], found["causes"]) == ("none", [])

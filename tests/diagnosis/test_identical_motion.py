@@ -7,9 +7,11 @@ import pytest
 
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.identical_motion import pair_of, paired
+from diagnosis.finder import diagnose
 from estimation.data.table import Table, table
 from estimation.path_model import PATH_MODEL
 from estimation.reference_fit import ReferenceFit
+from physics.forward.path_constants import CONSTANTS, INDEX
 from tests.hidden.family import Job, case
 
 BENCH = Job(39, (), 9, cycles=3)
@@ -93,3 +95,18 @@ def test_an_effect_is_named_from_the_difference_and_a_repeat_names_nothing(
     changed = finder.diagnose([again(reference, end_gain=1.04)])
     assert "end_gain" in changed.rivals
     assert any("has the motion of the trial" in warning for warning in changed.warnings)
+
+
+def test_a_drive_of_twice_the_friction_differs_by_twice_between_sessions() -> None:
+    q = np.zeros(len(CONSTANTS))
+    q[INDEX["drive_viscous"]], q[INDEX["drive_coulomb"]] = 15.0, -1.0  # 30 N·s/m, 1 N
+    ratio = PATH_MODEL.session_at(q) / CONSTANTS.session_sd.clip(1e-300)
+    changed = {CONSTANTS.names[i]: ratio[i] for i in np.flatnonzero(CONSTANTS.session_sd) if ratio[i] != 1.0}
+    assert changed == {"drive_viscous": 2.0}  # a drive of less friction keeps the stated deviation
+
+
+@pytest.mark.exhaustive
+def test_a_healthy_pair_of_a_drive_with_much_friction_has_no_name() -> None:
+    # 17.9 nats of `stribeck` where the drive may differ by 10 % of a typical one only (decision 63)
+    made = case(Job(33, (), 5003))
+    assert diagnose([made.trial], healthy=list(made.healthy)).causes == []

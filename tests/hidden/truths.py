@@ -7,6 +7,7 @@ absent.  The rig `rate_state` is in this folder.
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib.util
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -43,7 +44,7 @@ FURTHER: Final = 20_000
 
 @dataclass(frozen=True, order=True)
 class Question:
-    """One case: the rig's structure, what is hidden (names of the rig), and the seed of bench and trial."""
+    """One case: structure of the rig, its names of the hidden effects, and the seed of bench and trial."""
 
     structure: str
     hidden: tuple[str, ...]
@@ -73,7 +74,7 @@ class Drawn:
 
     @property
     def without(self) -> dict[str, Array]:
-        """The trial less the effect's own response: what an exact model of the effect leaves."""
+        """The trial less the effect's own response, as after an exact model of the effect."""
         return _moved(self.trial, -self.clean)
 
 
@@ -88,6 +89,14 @@ def rig(structure: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@functools.cache
+def version(structure: str) -> str:
+    """Return eight digits of the SHA-256 of what draws the trials of a rig."""
+    here = Path(__file__)
+    own = [TRUTHS / f"{structure}.py"] if structure in STRUCTURES else sorted(here.parent.glob(f"{structure}*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in (here, *own))).hexdigest()[:8]
 
 
 def draw(asked: Question) -> Drawn:

@@ -80,8 +80,8 @@ class Answer:
 
 
 def stored(asked: Question, folder: Path = OUT / "truths") -> Drawn:
-    """Return the trials of a case, drawn once and stored under `folder`."""
-    path = folder / f"{asked.structure}-{'+'.join(asked.hidden)}-{asked.seed}.npz"
+    """Return the trials of a case, drawn once by each version of the rig and stored under `folder`."""
+    path = folder / f"{asked.structure}-{'+'.join(asked.hidden)}-{asked.seed}-{truths.version(asked.structure)}.npz"
     if not path.is_file():
         made = truths.draw(asked)
         folder.mkdir(parents=True, exist_ok=True)
