@@ -42,7 +42,7 @@ class ConstantTable:
     coordinates of others, by name.
 
     `free`: rows of the constants that differ between benches in the reference condition.  `step`: finite-difference
-    step of each coordinate, 0.1 session σ, well inside the range where a model is linear.
+    step of each coordinate, 0.01 session σ; with 0.1 the truncation error stops descents 7 nats above the mode.
     """
 
     def __init__(self, rows: Sequence[ModelConstant], bounds: Mapping[str, tuple[float, float]] | None = None) -> None:
@@ -52,7 +52,7 @@ class ConstantTable:
         self.index = {name: i for i, name in enumerate(self.names)}
         self.bench_sd: Array = np.array([row.bench_sd for row in rows])
         self.session_sd: Array = np.array([row.session_sd for row in rows])
-        self.step: Array = np.array([0.1 * row.session_sd if row.session_sd else row.step for row in rows])
+        self.step: Array = np.array([0.01 * row.session_sd if row.session_sd else row.step for row in rows])
         self.free = tuple(i for i, row in enumerate(rows) if row.bench_sd)
         self._form = np.array([row.form for row in rows])
         self._columns: Array = np.array([(row.middle, *self._limits(row), row.rounding) for row in rows]).T
