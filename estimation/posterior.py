@@ -24,8 +24,8 @@ HUBER: Final = 5.0
 """Residual, σ, above which the loss grows linearly.
 
 Such residuals occur in the 16 ms bins in which a loose rope snaps taut."""
-CLOSE: Final = 0.1
-"""Decrease of the cost in one step below which the mode counts as reached; 0.1 is 0.05 nats."""
+CLOSE: Final = 0.3
+"""Decrease of the cost in one step below which the mode counts as reached; 0.3 is 0.15 nats."""
 LONGEST: Final = 2.0
 """Longest step of a constant, in σ of its prior; the model is about linear over that distance."""
 SURROGATE: Final = 0.1
