@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cho_solve
 
-from diagnosis.evidence.hypothesis_search import TrialModes, search_joint_minimum, search_pairs
+from diagnosis.evidence.hypothesis_search import TrialModes, search_other_minimum, search_pairs
 from estimation.forward_model import ForwardModel
 from estimation.posterior import SURROGATE, PosteriorMode, SessionData, own_error, screened
 from physics.effects.hypotheses import Variant
@@ -69,7 +69,7 @@ def decide(found: TrialModes) -> Decision:
     named, pairs with the best effect.
     """
     least = threshold(found.observed.model)
-    search_joint_minimum(found, least)
+    search_other_minimum(found, least)
     gains = found.gains()
     seen = detected(gains, least)
     if not seen:

@@ -3,9 +3,11 @@
 A linear screen ranks the effects of the catalogue; only the first few are fitted.
 """
 
-from collections.abc import Mapping, Sequence
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -31,7 +33,8 @@ class TrialModes:
     `single` was fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since
     their best value is outside their bounds.  `session_priors`: log probability and prior of each scatter between
     sessions over which evidence is averaged (none: that of `prior` alone).  `each_dispersed`: each effect has its
-    mode's overdispersion, not that of the best one.
+    mode's overdispersion, not that of the best one.  `other_minimum`: function of these modes that returns the same
+    trial at another minimum of the reference condition.
     """
 
     observed: SessionData
@@ -45,6 +48,7 @@ class TrialModes:
     refused: set[str] = field(default_factory=set)
     session_priors: Sequence[tuple[float, Gaussian]] = ()
     each_dispersed: bool = False
+    other_minimum: Callable[[TrialModes], OtherMinimum] | None = None
 
     def gains(self) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each candidate against the null, best first."""
@@ -77,6 +81,25 @@ class TrialModes:
         return max(1.0, (own.squared + others.squared) / (own.directions + others.directions))
 
 
+class OtherMinimum(NamedTuple):
+    """A trial at another minimum of the reference condition, and a start for its null.
+
+    `modes`: without any effect.  `nats`: log evidence of the reference trials there less that at the first minimum.
+    """
+
+    modes: TrialModes
+    nats: float
+    start: Array
+
+
+def joint_minimum(found: TrialModes) -> OtherMinimum:
+    """Return a trial at the best joint minimum of the reference trials and itself."""
+    assert found.reference.joint_minimum is not None
+    fit, nats, start = found.reference.joint_minimum(found.reference, found.observed.trials[0], found.null.x)
+    return OtherMinimum(replace(found, prior=fit.prior_of(found.observed), reference=fit, single={}, variants={},
+                                session_priors=fit.session_priors_of(found.observed)), nats, start)
+
+
 def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[str, tuple[Variant, ...]]:
     """Return the variants, at `constants` of the bench, of each effect whose needed outputs were observed."""
     offered = {name: h.variants(constants) for name, h in observed.model.hypotheses.items()
@@ -91,7 +114,8 @@ def search(observed: SessionData, prior: Gaussian, reference: ReferenceFit,
     The null starts at the prior's mean and at the modes of the trials of the `reference` condition.
     """
     null = max((mode(observed, prior, start=at) for at in (None, *reference.starts())), key=lambda m: m.log_evidence)
-    found = TrialModes(observed, prior, reference, null, session_priors=session_priors)
+    found = TrialModes(observed, prior, reference, null, session_priors=session_priors,
+                       other_minimum=None if reference.joint_minimum is None else joint_minimum)
     found.null = _averaged(found, null)
     offered = hypotheses(observed, observed.model.constants.named(prior.origin))
     # at the reference constants no constant has taken up an effect
@@ -103,20 +127,18 @@ def search(observed: SessionData, prior: Gaussian, reference: ReferenceFit,
     return found
 
 
-def search_joint_minimum(found: TrialModes, least: float, clear: float = 10.0) -> None:
-    """Fit the null and the best effects at the best joint minimum of reference trials and trial, too, once.
+def search_other_minimum(found: TrialModes, least: float, clear: float = 10.0) -> None:
+    """Fit the null and the best effects at another minimum of the reference condition, too, once.
 
     The larger evidence counts, that of the reference trials included.  On a bench of another structure minima are
     several, and the reference trials' own one may hold the trial for changed although another one predicts them all.
     Only an effect that is detected, with the log Bayes factor `least`, is so examined, and none with `clear` times
     that: another minimum changes it by some 20 nats.
     """
-    first, best = found.reference, max(found.gains().values(), default=0.0)
-    if first.joint_minimum is None or not least <= best < clear * least:
+    best = max(found.gains().values(), default=0.0)
+    if found.other_minimum is None or not least <= best < clear * least:
         return
-    fit, nats, start = first.joint_minimum(first, found.observed.trials[0], found.null.x)
-    other = replace(found, prior=fit.prior_of(found.observed), reference=fit, single={}, variants={},
-                    session_priors=fit.session_priors_of(found.observed))
+    other, nats, start = found.other_minimum(found)
     fitted = [at for x in (start, found.null.x) if (at := _fit(other, [], x)) is not None]
     if not fitted:
         return
@@ -126,9 +148,10 @@ def search_joint_minimum(found: TrialModes, least: float, clear: float = 10.0) -
         for x in (found.single[name].x, begun(other.null, variant)):
             _keep(other, name, variant, _fit(other, [variant], x))
     highest, there = (max(at.log_evidence for at in (modes.null, *modes.single.values())) for modes in (found, other))
-    found.reference = replace(first, joint_minimum=None)  # asked once
+    found.other_minimum = None  # asked once
     if there + nats > highest:
-        found.prior, found.reference, found.session_priors = other.prior, fit, other.session_priors
+        found.observed, found.prior, found.reference = other.observed, other.prior, other.reference
+        found.session_priors = other.session_priors
     found.null = max(found.null, _shifted(other.null, nats), key=lambda at: at.log_evidence)
     for name, at in other.single.items():
         _keep(found, name, other.variants[name], _shifted(at, nats))

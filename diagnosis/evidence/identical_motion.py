@@ -11,15 +11,17 @@ between sessions (`ForwardModel.session_share`).
 """
 
 import copy
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from diagnosis.evidence.hypothesis_search import TrialModes, search
+from diagnosis.evidence.hypothesis_search import OtherMinimum, TrialModes, search
 from estimation.likelihood_data import GRID_S, Recording
-from estimation.posterior import Gaussian, SessionData
+from estimation.posterior import Gaussian, SessionData, mode
 from estimation.reference_fit import ReferenceFit, SessionPrior
 from physics.laws import Array
 
@@ -31,13 +33,15 @@ REPEAT: Final = "repeat"
 class Pair:
     """A trial less the residual of reference trial number `reference`: its data, and its prior about that trial.
 
-    `session_priors`: priors by the scatter between sessions, as in `TrialModes`.
+    `session_priors`: priors by the scatter between sessions, as in `TrialModes`.  `lag`: samples by which the reference
+    trial is behind.
     """
 
     observed: SessionData
     prior: Gaussian
     session_priors: Sequence[tuple[float, Gaussian]]
     reference: int
+    lag: int
 
 
 def paired(fit: ReferenceFit, references: Sequence[Recording], observed: SessionData) -> Pair | None:
@@ -62,11 +66,54 @@ def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: S
     pair = paired(fit, references, observed)
     if pair is None:
         return search(observed, fit.prior_of(observed), fit, fit.session_priors_of(observed)), None
-    # the pair's prior is about one reference trial's mode, which no other minimum of all of them changes
-    found = search(pair.observed, pair.prior, replace(fit, joint_minimum=None), pair.session_priors)
+    found = search(pair.observed, pair.prior, fit, pair.session_priors)
     # the model's error repeats, so that a departure that is left is the effect's own, not one that all effects share
     found.each_dispersed = len(fit.identified) == 1
+    found.other_minimum = functools.partial(_moved, references[pair.reference], observed, pair)
     return found, pair
+
+
+def _moved(other: Recording, observed: SessionData, pair: Pair, found: TrialModes, rounds: int = 2, least: float = 0.3
+           ) -> OtherMinimum:
+    """Return the pair about the bench that predicts the difference of its trials best.
+
+    The bench b ~ N(0, B) acts on the difference by (J(q_r + δ) − J(q_r))·b, δ that of the null, so that the null's mode
+    with these columns beside the features has b, too; `rounds`: of δ and b in turns.  `least`: smallest singular value
+    of a column, in σ of the data.
+    """
+    fit, null = found.reference, found.null
+    free, size = list(fit.model.constants.free), found.prior.mean.size
+    root = np.linalg.cholesky(fit.bench.covariance[:len(free), :len(free)])
+    before = pair.observed.jacobian(fit.identified[pair.reference][0], free)[1]
+    for _ in range(rounds):
+        across = (pair.observed.jacobian(null.q, free)[1] - before) @ root
+        _, lengths, axes = np.linalg.svd(np.sqrt(pair.observed.weight)[:, None] * across, full_matrices=False)
+        axes = axes[lengths > least].T
+        wide = replace(pair.observed, features=np.hstack([pair.observed.features, across @ axes]))
+        prior = Gaussian(pair.prior.origin, np.append(pair.prior.mean, np.zeros(axes.shape[1])),
+                         block_diag(pair.prior.covariance, np.eye(axes.shape[1])))
+        starts = (None, np.append(null.x[:size], np.zeros(axes.shape[1])))
+        null = min((mode(wide, prior, start=x) for x in starts), key=lambda at: at.cost)
+    along = null.x[size:]
+    shift = root @ (axes @ along)
+    moved = _shifted(fit, pair.reference, shift)
+    about = pair_of(moved, other, observed, pair.reference, pair.lag)
+    modes = replace(found, observed=about.observed, prior=about.prior, session_priors=about.session_priors, single={},
+                    variants={})
+    return OtherMinimum(modes, -0.5 * float(along @ along), null.x[:size] + np.pad(shift, (0, size - shift.size)))
+
+
+def _shifted(fit: ReferenceFit, number: int, shift: Array) -> ReferenceFit:
+    """Return a fit whose bench and reference trial `number` are moved by `shift` in their free constants."""
+    whole = np.pad(shift, (0, fit.prior.mean.size - shift.size))
+    q, c = fit.identified[number]
+    q = q.copy()
+    q[list(fit.model.constants.free)] += shift
+    identified = tuple((q, c) if k == number else each for k, each in enumerate(fit.identified))
+    priors = tuple(each._replace(prior=replace(each.prior, mean=each.prior.mean + whole))
+                   for each in fit.session_priors)
+    return replace(fit, identified=identified, session_priors=priors,
+                   prior=replace(fit.prior, mean=fit.prior.mean + whole))
 
 
 def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: int, lag: int, odds: float = 20.0
@@ -85,7 +132,7 @@ def pair_of(fit: ReferenceFit, other: Recording, observed: SessionData, number: 
     scatters = [each for each in fit.session_priors if each.log_factor <= 0.0 or each.log_probability > least]
     whole = float(np.logaddexp.reduce([each.log_probability for each in scatters]))
     return Pair(_difference(fit, known, observed, number, lag), _prior(fit, number, information, stated), [
-        (each.log_probability - whole, _prior(fit, number, information, each)) for each in scatters], number)
+        (each.log_probability - whole, _prior(fit, number, information, each)) for each in scatters], number, lag)
 
 
 def _lag(trial: Recording, other: Recording, most_s: float = 2.0, identical: float = 0.01, covered: float = 0.8
