@@ -27,7 +27,8 @@ class FittedQuantity(NamedTuple):
         return self.value - 1.96 * self.sd, self.value + 1.96 * self.sd
 
 
-def quantities(fit: ReferenceFit, convert: Callable[[Values], Values], steps: float = 30.0) -> dict[str, FittedQuantity]:
+def quantities(fit: ReferenceFit, convert: Callable[[Values], Values], steps: float = 30.0
+               ) -> dict[str, FittedQuantity]:
     """Return what `convert` makes of the constants of a fit, by name.
 
     1σ is √(gᵀΣg), g the gradient by the free coordinates, by differences over so many `steps` of the table.

@@ -76,6 +76,7 @@ CREATE TABLE estimate (
     square BLOB, pull BLOB, growth BLOB, motion INTEGER);
 """, "DELETE FROM cause; DELETE FROM estimate", "DELETE FROM cause; DELETE FROM estimate",
     "DELETE FROM cause; DELETE FROM estimate; DELETE FROM reference",
+    "DELETE FROM cause; DELETE FROM estimate; DELETE FROM reference",
     "DELETE FROM cause; DELETE FROM estimate; DELETE FROM reference")
 """SQL of each version of the schema, applied to the one before it; `PRAGMA user_version` counts them.
 
@@ -83,8 +84,9 @@ The fourth and those from the sixth on drop estimates of single trials, which a 
 Sixth: effects have secants, too.  Seventh, with the references: friction is distributed (decision 50).  Eighth: effects
 free more constants (decision 52).  Ninth, with the references: a trial is linearised by its motion (decision 57).
 Tenth: a stiffness may move the zero that homing fixes (decision 60).  Eleventh: the error of the linearisation counts
-as noise (decision 61).  Twelfth, with the references: pre-sliding has a shape (decision 62).  The fifth renames
-constants."""
+as noise (decision 61).  From the twelfth on with the references: pre-sliding has a shape (decision 62), a drive's
+constants scatter by a share of their own (decision 63), derivatives have a smaller step (decision 64).  The fifth
+renames constants."""
 
 
 class TrialEntry(NamedTuple):

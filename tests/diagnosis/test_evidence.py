@@ -16,6 +16,7 @@ from diagnosis.evidence.decision import SET_SHARE, probabilities, threshold
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.finder import diagnose
 from estimation.data.table import Table, table
+from estimation.forward_model import jacobian
 from estimation.likelihood_data import GRID_S
 from estimation.path_model import PATH_MODEL
 from estimation.posterior import PosteriorMode, between_sessions
@@ -112,6 +113,19 @@ def test_half_the_step_changes_little() -> None:
     half = force_path.simulate(path(), fine, np.full(fine.size, knee[0]), GRID_S / 2).end[0][::2]
     # first order in the step: the difference is the error, below the noise of a bin
     assert np.abs(coarse - half).max() < 0.25
+
+
+def test_derivatives_are_those_of_a_central_difference() -> None:
+    # ten times the step misses the surface's by 2.6 % here, and descents stop nats above the mode (decision 64)
+    trial, free = PATH_MODEL.record(case(replace(HEALTHY, cycles=3)).trial), list(FREE)
+    q = PATH_MODEL.scanned(PATH_MODEL.origin(trial), trial)[0]
+    _, slopes = jacobian(PATH_MODEL, q, trial, free)
+    moved, step = np.repeat(q[:, None], 2 * len(free), axis=1), 0.1 * PATH_MODEL.constants.step[free]
+    moved[free, np.arange(len(free))] += step
+    moved[free, np.arange(len(free), 2 * len(free))] -= step
+    ahead, behind = np.split(PATH_MODEL.predict(moved, trial), 2)
+    central = ((ahead - behind) / (2.0 * step[:, None])).T
+    assert float((np.linalg.norm(slopes - central, axis=0) / np.linalg.norm(central, axis=0)).max()) < 0.01
 
 
 def test_every_effect_is_a_hypothesis_or_says_why_not() -> None:

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from diagnosis.evidence.evidence_finder import EvidenceFinder
-from diagnosis.evidence.identical_motion import pair_of, paired
+from diagnosis.evidence.identical_motion import pair_of, paired, search_trial
 from diagnosis.finder import diagnose
 from estimation.data.table import Table, table
+from estimation.forward_model import predicted
 from estimation.path_model import PATH_MODEL
+from estimation.posterior import mode
 from estimation.reference_fit import ReferenceFit
 from physics.forward.path_constants import CONSTANTS, INDEX
 from tests.hidden.family import Job, case
@@ -95,6 +97,27 @@ def test_an_effect_is_named_from_the_difference_and_a_repeat_names_nothing(
     changed = finder.diagnose([again(reference, end_gain=1.04)])
     assert "end_gain" in changed.rivals
     assert any("has the motion of the trial" in warning for warning in changed.warnings)
+
+
+@pytest.mark.slow
+def test_a_pair_finds_the_bench_that_made_its_data(bench: tuple[EvidenceFinder, ReferenceFit, Table]) -> None:
+    finder, fit, _ = bench
+    free = list(fit.model.constants.free)
+    root = np.linalg.cholesky(fit.bench.covariance[:len(free), :len(free)])
+    there = fit.identified[0][0].copy()
+    there[free] += root @ np.random.default_rng(4).normal(size=len(free))
+    moved = there.copy()
+    moved[INDEX["zero"]] -= 1e-3  # m, as after homing anew on a rope that was exchanged
+    known, trial = PATH_MODEL.record(finder._tables[0]), PATH_MODEL.record(finder._tables[0])
+    known.data, trial.data = predicted(fit.model, there, known), predicted(fit.model, moved, trial)
+    found, pair = search_trial(fit, [known], fit.observe(trial))
+    assert pair is not None
+    assert found.other_minimum is not None
+    other = found.other_minimum(found)
+    at = mode(other.modes.observed, other.modes.prior, start=other.start)
+    # the data have no noise, so that the right bench misses nothing; 28 nats here, and 12 decide
+    assert at.log_evidence + other.nats > found.null.log_evidence + 12.0
+    assert other.modes.observed.misfit(at.residual).max() < 0.5 * found.observed.misfit(found.null.residual).max()
 
 
 def test_a_drive_of_twice_the_friction_differs_by_twice_between_sessions() -> None:
