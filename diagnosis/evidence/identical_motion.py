@@ -73,40 +73,34 @@ def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: S
     return found, pair
 
 
-def _moved(other: Recording, observed: SessionData, pair: Pair, found: TrialModes, rounds: int = 3, least: float = 0.3
+def _moved(other: Recording, observed: SessionData, pair: Pair, found: TrialModes, rounds: int = 2, least: float = 0.3
            ) -> OtherMinimum:
     """Return the pair about the bench that predicts the difference of its trials best.
 
-    The bench b = Lz, z ~ N(0, I), LLᵀ = B, acts on the difference by (J(q_r + b + δ) − J(q_r + b))·L·dz, δ that of the
-    null.  With these columns beside the features the null's mode has dz, too, a Gauss–Newton step of z.  At most
-    `rounds` steps are taken, as long as cost and zᵀz fall.  `least`: smallest singular value of a column, in σ of the
-    data.
+    The bench b ~ N(0, B) acts on the difference by (J(q_r + δ) − J(q_r))·b, δ that of the null.  With these columns
+    beside the features the null's mode has b, too.  `rounds`: of δ and b in turns.  `least`: smallest singular value of
+    a column, in σ of the data.
     """
-    fit, size = found.reference, found.prior.mean.size
-    free = list(fit.model.constants.free)
+    fit, null = found.reference, found.null
+    free, size = list(fit.model.constants.free), found.prior.mean.size
     root = np.linalg.cholesky(fit.bench.covariance[:len(free), :len(free)])
-    along, moved, about, null, cost = np.zeros(len(free)), fit, pair, found.null, found.null.cost
+    before = pair.observed.jacobian(fit.identified[pair.reference][0], free)[1]
     for _ in range(rounds):
-        here, there = (about.observed.jacobian(q, free)[1] for q in (moved.identified[pair.reference][0], null.q))
-        across = (there - here) @ root
-        _, lengths, axes = np.linalg.svd(np.sqrt(about.observed.weight)[:, None] * across, full_matrices=False)
+        across = (pair.observed.jacobian(null.q, free)[1] - before) @ root
+        _, lengths, axes = np.linalg.svd(np.sqrt(pair.observed.weight)[:, None] * across, full_matrices=False)
         axes = axes[lengths > least].T
-        wide = replace(about.observed, features=np.hstack([about.observed.features, across @ axes]))
-        prior = Gaussian(about.prior.origin, np.append(about.prior.mean, -along @ axes),
-                         block_diag(about.prior.covariance, np.eye(axes.shape[1])))
-        starts = (None, np.append(null.x, np.zeros(axes.shape[1])))
-        stepped = min((mode(wide, prior, start=start) for start in starts), key=lambda at: at.cost)
-        step = axes @ stepped.x[size:]
-        further = _shifted(fit, pair.reference, root @ (along + step))
-        then = pair_of(further, other, observed, pair.reference, pair.lag)
-        at = mode(then.observed, then.prior, start=stepped.x[:size] + np.pad(root @ step, (0, size - len(free))))
-        before, cost = cost, at.cost + float((along + step) @ (along + step))
-        if cost >= before:
-            break
-        along, moved, about, null = along + step, further, then, at
+        wide = replace(pair.observed, features=np.hstack([pair.observed.features, across @ axes]))
+        prior = Gaussian(pair.prior.origin, np.append(pair.prior.mean, np.zeros(axes.shape[1])),
+                         block_diag(pair.prior.covariance, np.eye(axes.shape[1])))
+        starts = (None, np.append(null.x[:size], np.zeros(axes.shape[1])))
+        null = min((mode(wide, prior, start=x) for x in starts), key=lambda at: at.cost)
+    along = null.x[size:]
+    shift = root @ (axes @ along)
+    moved = _shifted(fit, pair.reference, shift)
+    about = pair_of(moved, other, observed, pair.reference, pair.lag)
     modes = replace(found, observed=about.observed, prior=about.prior, session_priors=about.session_priors, single={},
-                    variants={}, reference=moved)
-    return OtherMinimum(modes, -0.5 * float(along @ along), null.x)
+                    variants={})
+    return OtherMinimum(modes, -0.5 * float(along @ along), null.x[:size] + np.pad(shift, (0, size - shift.size)))
 
 
 def _shifted(fit: ReferenceFit, number: int, shift: Array) -> ReferenceFit:
