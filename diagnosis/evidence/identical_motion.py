@@ -83,7 +83,9 @@ def _moved(other: Recording, observed: SessionData, pair: Pair, found: TrialMode
     """
     fit, null = found.reference, found.null
     free, size = list(fit.model.constants.free), found.prior.mean.size
-    root = np.linalg.cholesky(fit.bench.covariance[:len(free), :len(free)])
+    covariance = fit.bench.covariance[:len(free), :len(free)]
+    # of a nearly determined direction rounding may leave no root
+    root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
     before = pair.observed.jacobian(fit.identified[pair.reference][0], free)[1]
     for _ in range(rounds):
         across = (pair.observed.jacobian(null.q, free)[1] - before) @ root
@@ -96,14 +98,13 @@ def _moved(other: Recording, observed: SessionData, pair: Pair, found: TrialMode
         null = min((mode(wide, prior, start=x) for x in starts), key=lambda at: at.cost)
     along = null.x[size:]
     shift = root @ (axes @ along)
-    moved = _shifted(fit, pair.reference, shift)
-    about = pair_of(moved, other, observed, pair.reference, pair.lag)
+    about = pair_of(_with_bench(fit, pair.reference, shift), other, observed, pair.reference, pair.lag)
     modes = replace(found, observed=about.observed, prior=about.prior, session_priors=about.session_priors, single={},
                     variants={})
     return OtherMinimum(modes, -0.5 * float(along @ along), null.x[:size] + np.pad(shift, (0, size - shift.size)))
 
 
-def _shifted(fit: ReferenceFit, number: int, shift: Array) -> ReferenceFit:
+def _with_bench(fit: ReferenceFit, number: int, shift: Array) -> ReferenceFit:
     """Return a fit whose bench and reference trial `number` are moved by `shift` in their free constants."""
     whole = np.pad(shift, (0, fit.prior.mean.size - shift.size))
     q, c = fit.identified[number]
