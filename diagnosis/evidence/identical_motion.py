@@ -185,26 +185,27 @@ def _difference(fit: ReferenceFit, known: SessionData, observed: SessionData, nu
     for k, name in enumerate(fit.outputs):
         # weights are 1/(τ·(model error + noise)), of which the sensor noise has no τ
         model = 1.0 / observed.part(observed.weight, k) - observed.tau[k] * trial.noise_n[name] ** 2
-        scattered = np.interp(at, have, _cycle_scatter(other, other.part(missed, k), other.noise_n[name] ** 2))
-        variance.append(trial.noise_n[name] ** 2 + other.noise_n[name] ** 2 + 2.0 * scattered
-                        + fit.model.session_share**2 * np.maximum(model, 0.0))
+        stated = trial.noise_n[name] ** 2 + other.noise_n[name] ** 2 + fit.model.session_share**2 * np.maximum(model, 0.0)
+        variance.append(np.maximum(stated, 2.0 * np.interp(at, have, _cycle_variance(other, other.part(missed, k)))))
     weight = np.where(np.tile(inside, len(fit.outputs)), 1.0 / (inflation * np.concatenate(variance)), 0.0)
     return replace(observed, trials=(made,), weight=weight, tau=np.ones(len(fit.outputs)))
 
 
-def _cycle_scatter(trial: Recording, missed: Array, noise: float) -> Array:
-    """Return the variance between gait cycles of the residual `missed`, less that of the sensor `noise`, by bin."""
+def _cycle_variance(trial: Recording, missed: Array, phases: int = 100, wide: int = 2) -> Array:
+    """Return the variance of the residual `missed` between gait cycles at each bin's phase; 0 with less than 3 cycles.
+
+    `phases`: of the cycle.  `wide`: phases on either side over which the variance is averaged.
+    """
     if trial.phase is None:
         return np.zeros(missed.size)
-    number = np.cumsum(np.diff(trial.phase, prepend=trial.phase[0]) < -0.5)
-    grid = np.arange(100) / 100.0
-    each = np.stack([np.interp(grid, trial.phase[number == k], missed[number == k]) for k in np.unique(number)
-                     if np.ptp(trial.phase[number == k]) > 0.9] or [grid])
-    if len(each) < 3:
+    number, grid = np.cumsum(np.diff(trial.phase, prepend=trial.phase[0]) < -0.5), np.arange(phases) / phases
+    cycles = [rows for k in range(number[-1] + 1) if np.ptp(trial.phase[rows := number == k]) > 0.9]
+    if len(cycles) < 3:
         return np.zeros(missed.size)
-    square = np.var(each - each.mean(axis=1, keepdims=True), axis=0, ddof=1)
-    wide = np.mean([np.roll(square, k) for k in (-1, 0, 1)], axis=0)
-    return np.asarray(np.interp(trial.phase, grid, np.maximum(wide - noise, 0.0)))
+    each = np.array([np.interp(grid, trial.phase[rows], missed[rows]) for rows in cycles])
+    variance = np.var(each - each.mean(axis=1, keepdims=True), axis=0, ddof=1)
+    even = np.mean([np.roll(variance, k) for k in range(-wide, wide + 1)], axis=0)
+    return np.asarray(np.interp(trial.phase, grid, even))
 
 
 def _prior(fit: ReferenceFit, number: int, information: Array, further: SessionPrior) -> Gaussian:
