@@ -7,7 +7,7 @@ sessions.  s_r, the departure of session r from the bench, is known as far as al
 absorbs model error (gains of `ForwardModel.surrogate_sd`, feature weights) repeats, too: its 1σ is √2 times that of one
 session.  Evidence is averaged over the scatter of structural constants, up to the stated one, or a larger one that
 several reference trials do not exclude.  ε: sensor noise of both trials, and of the model error the share that changes
-between sessions (`ForwardModel.session_share`).
+between sessions (`ForwardModel.session_share`); at least twice the variance of e_r between gait cycles.
 """
 
 import copy
@@ -185,13 +185,15 @@ def _difference(fit: ReferenceFit, known: SessionData, observed: SessionData, nu
     for k, name in enumerate(fit.outputs):
         # weights are 1/(τ·(model error + noise)), of which the sensor noise has no τ
         model = 1.0 / observed.part(observed.weight, k) - observed.tau[k] * trial.noise_n[name] ** 2
-        stated = trial.noise_n[name] ** 2 + other.noise_n[name] ** 2 + fit.model.session_share**2 * np.maximum(model, 0.0)
-        variance.append(np.maximum(stated, 2.0 * np.interp(at, have, _cycle_variance(other, other.part(missed, k)))))
+        stated = (trial.noise_n[name] ** 2 + other.noise_n[name] ** 2
+                  + fit.model.session_share**2 * np.maximum(model, 0.0))
+        # what the bench does not repeat in the next cycle it repeats no better in another session
+        variance.append(np.maximum(stated, 2.0 * np.interp(at, have, cycle_variance(other, other.part(missed, k)))))
     weight = np.where(np.tile(inside, len(fit.outputs)), 1.0 / (inflation * np.concatenate(variance)), 0.0)
     return replace(observed, trials=(made,), weight=weight, tau=np.ones(len(fit.outputs)))
 
 
-def _cycle_variance(trial: Recording, missed: Array, phases: int = 100, wide: int = 2) -> Array:
+def cycle_variance(trial: Recording, missed: Array, phases: int = 100, wide: int = 2) -> Array:
     """Return the variance of the residual `missed` between gait cycles at each bin's phase; 0 with less than 3 cycles.
 
     `phases`: of the cycle.  `wide`: phases on either side over which the variance is averaged.

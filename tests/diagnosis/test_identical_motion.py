@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis.evidence.evidence_finder import EvidenceFinder
-from diagnosis.evidence.identical_motion import pair_of, paired, search_trial
+from diagnosis.evidence.identical_motion import cycle_variance, pair_of, paired, search_trial
 from diagnosis.finder import diagnose
 from estimation.data.table import Table, table
 from estimation.forward_model import predicted
@@ -126,6 +126,31 @@ def test_a_drive_of_twice_the_friction_differs_by_twice_between_sessions() -> No
     ratio = PATH_MODEL.session_at(q) / CONSTANTS.session_sd.clip(1e-300)
     changed = {CONSTANTS.names[i]: ratio[i] for i in np.flatnonzero(CONSTANTS.session_sd) if ratio[i] != 1.0}
     assert changed == {"drive_viscous": 2.0}  # a drive of less friction keeps the stated deviation
+
+
+def test_the_variance_between_cycles_stands_where_cycles_differ() -> None:
+    time = np.arange(4000) / 500.0
+    phase = time % 1.0
+    wave = np.sin(2.0 * np.pi * phase)
+    trial = PATH_MODEL.record(table("made.csv", {
+        "time_s": time, "gait_percent": 100.0 * phase, "servo_position_m": 0.01 * wave, "knee_angle_rad": 0.5 * wave,
+        "tension_start_n": 20.0 + 10.0 * wave}))
+    assert trial.phase is not None
+    at, random = trial.binned(trial.time_s), np.random.default_rng(3)
+    snaps = np.exp(-0.5 * ((trial.phase - 0.5) / 0.03) ** 2) * (np.floor(at) % 2.0)  # in each second cycle
+    each = 3.0 * np.exp(-0.5 * ((trial.phase - 0.8) / 0.03) ** 2)  # in every cycle alike
+    variance = cycle_variance(trial, 0.1 * random.normal(size=at.size) + snaps + each)
+    assert variance[np.abs(trial.phase - 0.5) < 0.02].min() > 0.1  # 0.25 at the peak, less the mean over phases
+    # 7 cycles and the mean over five phases: 1σ of a variance is a quarter of it
+    assert np.median(variance[np.abs(trial.phase - 0.5) > 0.15]) == pytest.approx(0.01, rel=0.5)
+    assert variance[np.abs(trial.phase - 0.8) < 0.03].max() < 0.03
+
+
+@pytest.mark.exhaustive
+def test_a_healthy_pair_on_a_bench_that_snaps_at_another_moment_in_each_cycle_has_no_name() -> None:
+    # 35 nats of `stribeck` where a snap counts as repeated (decision 66)
+    made = case(Job(165, (), 5031))
+    assert diagnose([made.trial], healthy=list(made.healthy)).causes == []
 
 
 @pytest.mark.exhaustive
