@@ -95,10 +95,11 @@ class ReferenceFit:
     `contradicted`: nats by which a restart of the fit found a better minimum than the first start, 0 if it did not.
     `session_priors`: priors by how far structural constants scatter between sessions, () where that is not known.
     `joint_minimum`: function of this fit, a further trial and its mode that returns the reference condition at their
-    joint minimum; None for a condition that was not fitted here, and for pooled sessions.  `misfit`: mean squared
-    residual of the reference trials over its variance, by output, at least 1: the servo force of a drive that cogs has
-    more, which no load quarter describes.  `departure`: of the reference trials from the bench, in session σ; none of a
-    single one.
+    joint minimum; None for a condition that was not fitted here, and for pooled sessions.  `bench_nats`: function of a
+    shift of the bench's free constants that returns the log probability of reference trials and bench there less that
+    at the mode, nats; None likewise.  `misfit`: mean squared residual of the reference trials over its variance, by
+    output, at least 1: the servo force of a drive that cogs has more, which no load quarter describes.  `departure`: of
+    the reference trials from the bench, in session σ; none of a single one.
     """
 
     model: ForwardModel
@@ -116,6 +117,7 @@ class ReferenceFit:
     contradicted: float = 0.0
     session_priors: tuple[SessionPrior, ...] = ()
     joint_minimum: Callable[[ReferenceFit, Recording, Array], JointMinimum] | None = None
+    bench_nats: Callable[[Array], float] | None = None
     misfit: Array | float = 1.0
     departure: SessionDeparture = field(default_factory=lambda: SessionDeparture(0.0, 0.0))
 

@@ -24,7 +24,7 @@ def encoded(fit: ReferenceFit) -> bytes:
             return {"array": f"a{len(arrays) - 1}"}
         if is_dataclass(value):
             return {"fields": {f.name: plain(getattr(value, f.name)) for f in fields(value)
-                               if f.name not in ("model", "joint_minimum", "session_priors")}}
+                               if f.name not in ("model", "joint_minimum", "bench_nats", "session_priors")}}
         if hasattr(value, "_asdict"):
             return {"fields": {k: plain(v) for k, v in value._asdict().items()}}
         if isinstance(value, tuple | list):

@@ -69,19 +69,22 @@ def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: S
     found = search(pair.observed, pair.prior, fit, pair.session_priors)
     # the model's error repeats, so that a departure that is left is the effect's own, not one that all effects share
     found.each_dispersed = len(fit.identified) == 1
-    found.other_minimum = functools.partial(_moved, references[pair.reference], observed, pair)
+    if fit.bench_nats is not None:
+        found.other_minimum = functools.partial(_moved, references[pair.reference], observed, pair)
     return found, pair
 
 
-def _moved(other: Recording, observed: SessionData, pair: Pair, found: TrialModes, rounds: int = 2, least: float = 0.3
-           ) -> OtherMinimum:
+def _moved(other: Recording, observed: SessionData, pair: Pair, found: TrialModes, rounds: int = 2, least: float = 0.3,
+           shares: Sequence[float] = (1.0, 0.5, 0.25)) -> OtherMinimum:
     """Return the pair about the bench that predicts the difference of its trials best.
 
     The bench b ~ N(0, B) acts on the difference by (J(q_r + δ) − J(q_r))·b, δ that of the null.  With these columns
     beside the features the null's mode has b, too.  `rounds`: of δ and b in turns.  `least`: smallest singular value of
-    a column, in σ of the data.
+    a column, in σ of the data.  `shares`: of b that are tried, since B is linearised at the reference trials' mode.
+    That share counts at which null and reference trials, fitted anew, are likeliest.
     """
     fit, null = found.reference, found.null
+    assert fit.bench_nats is not None
     free, size = list(fit.model.constants.free), found.prior.mean.size
     covariance = fit.bench.covariance[:len(free), :len(free)]
     # of a nearly determined direction rounding may leave no root
@@ -96,12 +99,14 @@ def _moved(other: Recording, observed: SessionData, pair: Pair, found: TrialMode
                          block_diag(pair.prior.covariance, np.eye(axes.shape[1])))
         starts = (None, np.append(null.x[:size], np.zeros(axes.shape[1])))
         null = min((mode(wide, prior, start=x) for x in starts), key=lambda at: at.cost)
-    along = null.x[size:]
-    shift = root @ (axes @ along)
-    about = pair_of(_with_bench(fit, pair.reference, shift), other, observed, pair.reference, pair.lag)
-    modes = replace(found, observed=about.observed, prior=about.prior, session_priors=about.session_priors, single={},
-                    variants={})
-    return OtherMinimum(modes, -0.5 * float(along @ along), null.x[:size] + np.pad(shift, (0, size - shift.size)))
+    whole, tried = root @ (axes @ null.x[size:]), []
+    for shift in (share * whole for share in shares):
+        about = pair_of(_with_bench(fit, pair.reference, shift), other, observed, pair.reference, pair.lag)
+        at = mode(about.observed, about.prior, start=null.x[:size] + np.pad(shift, (0, size - shift.size)))
+        modes = replace(found, observed=about.observed, prior=about.prior, session_priors=about.session_priors,
+                        single={}, variants={})
+        tried.append((at.log_evidence, OtherMinimum(modes, fit.bench_nats(shift), at.x)))
+    return max(tried, key=lambda each: each[0] + each[1].nats)[1]
 
 
 def _with_bench(fit: ReferenceFit, number: int, shift: Array) -> ReferenceFit:
