@@ -154,6 +154,16 @@ def test_a_healthy_pair_on_a_bench_that_snaps_at_another_moment_in_each_cycle_ha
 
 
 @pytest.mark.exhaustive
+def test_a_second_bench_takes_a_false_name_and_keeps_a_true_one() -> None:
+    # 40.6 nats of `stribeck` about the reference trial's own mode (decision 65)
+    made = case(Job(147, (), 5027))
+    assert diagnose([made.trial], healthy=list(made.healthy)).causes == []
+    # at ½·bᵀB⁻¹b another bench would take this one
+    made = case(Job(201, ("stribeck",), 12201))
+    assert "stribeck" in diagnose([made.trial], healthy=list(made.healthy)).rivals
+
+
+@pytest.mark.exhaustive
 def test_a_healthy_pair_of_a_drive_with_much_friction_has_no_name() -> None:
     # 17.9 nats of `stribeck` where the drive may differ by 10 % of a typical one only (decision 63)
     made = case(Job(33, (), 5003))
