@@ -110,8 +110,12 @@ class EvidenceFinder:
             found.refused.add(name)
             decided = self._decided(found)
         if pair is not None:
-            said.append(f"{Path(self._tables[pair.reference].source).name} has the motion of the trial: only their "
-                        "difference was compared, since what the model misses repeats.")
+            repeated = Path(self._tables[pair.reference].source).name
+            said.append(f"{repeated} has the motion of the trial: only their difference was compared, since what the "
+                        "model misses repeats.")
+            if decided.chosen and len(self._tables) == 1:
+                said.append(f"{repeated} alone does not show how far sessions differ: a second trial in the reference "
+                            "condition shows whether they differ so without a change.")
         if others and len(decided.chosen) == 1 < len(decided.among):
             split = _split(found, decided, reference, read, [self.recording(t, outputs) for t in others])
             if split is None:

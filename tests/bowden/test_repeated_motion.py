@@ -45,6 +45,7 @@ def test_rope_and_knee_move_as_they_did_and_the_controller_replays(ran: Path, bo
     told = json.loads(out)
     assert "cable_friction" in told["class"]
     assert any("good.mcap has the motion of the trial: only their difference" in said for said in told["warnings"])
+    assert any("good.mcap alone does not show how far sessions differ" in said for said in told["warnings"])
 
 
 @pytest.fixture(scope="module")
