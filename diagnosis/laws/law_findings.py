@@ -76,8 +76,8 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
             break
         more, fault = kept[0], ""
         runners = runners or [c for c in offers if c.shape != more[0].shape and c.nats > SET_SHARE * offers[0].nats]
-        # once more, with the columns linearised there, unless the session then ends in a worse minimum
-        fits.append((more, max(kept[1], search.fitted(*kept), key=lambda m: m.log_evidence)))
+        # once more, with the columns linearised there: a coefficient is relative to the constants of its own session
+        fits.append((more, search.fitted(*kept)))
     chosen, at = fits[-1]
     session = without(0, bool(chosen))
     return Laws(search.terms(chosen, at), [c.nats for c in chosen], figures(
