@@ -107,7 +107,7 @@ class _Fit:
 
     `bench` and `at`: departure of the bench and of each trial from the origin, constants first, then feature weights.
     `common`: common factor κ² on the variances of the model's `scattered` constants between sessions.  `held`: whether
-    a descent leaves the bench's constants where they are.
+    the bench's constants stay in a descent.
     """
 
     bench: Array
@@ -223,7 +223,7 @@ class _Fit:
         """Return ln p of bench and reference trials with the bench's free constants moved by `shift`, less that here.
 
         Discrepancy and departures of the trials are fitted anew there.  Far along the posterior that is linearised at
-        one trial they cost two to three times what that posterior says.
+        one trial the cost is two to three times that of the posterior.
         """
         there, whole = copy.copy(self), np.pad(shift, (0, self.bench.size - shift.size))
         there.held, there.bench, there.at = True, self.bench + whole, [x + whole for x in self.at]
