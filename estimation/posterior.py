@@ -197,6 +197,11 @@ class PosteriorMode:
         return float(np.sqrt(along @ cho_solve(self.inner, along)))
 
 
+def root_of(covariance: Array) -> Array:
+    """Return the Cholesky factor L of a covariance, LLᵀ; rounding may leave none of a nearly determined direction."""
+    return np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance))), np.float64)
+
+
 def between_sessions(off: Array, sd: Array, information: Sequence[Array], known: Sequence[Array]) -> SessionDeparture:
     """Return the departure of trials from their bench at a joint mode, over the directions that they determine.
 
@@ -208,7 +213,7 @@ def between_sessions(off: Array, sd: Array, information: Sequence[Array], known:
     """
     directions, eye = 0.0, np.eye(sd.size)
     for square, covariance in zip(information, known, strict=True):
-        root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
+        root = root_of(covariance)
         side = square @ root
         own = square - side @ np.linalg.solve(eye + root.T @ side, side.T)
         directions += sd.size - float(np.trace(np.linalg.inv(eye + sd[:, None] * own * sd)))
@@ -305,7 +310,7 @@ def mode(observed: SessionData, prior: Gaussian, variants: Sequence[Variant] = (
     """
     table = observed.model.constants
     origin, mean, covariance, active = widened(table, prior, variants)
-    factor: Array = np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance))), np.float64)
+    factor = root_of(covariance)
     measured, features, weight = observed.data, observed.features, observed.weight
     count, root = len(active), np.sqrt(weight)
     discrepancy, eye = features @ factor[count:], np.eye(mean.size)

@@ -245,6 +245,22 @@ class NoiseModel(NamedTuple):
             for k, name in enumerate(trial.outputs)])
 
 
+def autocorrelation(rest: Array, most: float = 12.0) -> float:
+    """Return 1 + 2·Σ of the autocorrelations of a residual, summed up to the first lag with less than 0.05.
+
+    It is at most `most`: a residual that hardly changes is no noise.
+    """
+    even = rest - rest.mean()
+    power = float(np.mean(even**2))
+    total = 1.0
+    for lag in range(1, 40):
+        share = float(np.mean(even[:-lag] * even[lag:])) / power if power > 0.0 else 0.0
+        if share < 0.05:
+            break
+        total += 2.0 * share
+    return min(total, most)
+
+
 def features(model: ForwardModel, states: Array, scaling: Scaling, outputs: Sequence[str]) -> Array:
     """Return the features of the discrepancy, block-diagonal by output, shape (data, features)."""
     even = (states - scaling.mean[:, None]) / scaling.sd[:, None]

@@ -110,12 +110,8 @@ class EvidenceFinder:
             found.refused.add(name)
             decided = self._decided(found)
         if pair is not None:
-            repeated = Path(self._tables[pair.reference].source).name
-            said.append(f"{repeated} has the motion of the trial: only their difference was compared, since what the "
-                        "model misses repeats.")
-            if decided.chosen and len(self._tables) == 1:
-                said.append(f"{repeated} alone does not show how far sessions differ: a second trial in the reference "
-                            "condition shows whether they differ so without a change.")
+            said.append(f"{Path(self._tables[pair.reference].source).name} has the motion of the trial: only their "
+                        "difference was compared, since what the model misses repeats.")
         if others and len(decided.chosen) == 1 < len(decided.among):
             split = _split(found, decided, reference, read, [self.recording(t, outputs) for t in others])
             if split is None:
@@ -127,6 +123,9 @@ class EvidenceFinder:
             said.append(refused)
             decided = self._known(decision.unnamed(found))
             figures = replace(figures, named=None)
+        if pair is not None and decided.chosen and len(self._tables) == 1:
+            said.append(f"{Path(self._tables[0].source).name} alone does not show how far sessions differ: a second "
+                        "trial in the reference condition shows whether they differ so without a change.")
         said += [*figures.at_rest(), *_unseen(found, decided)]
         said += self._untold(outputs)
         at = _mode_of(found, decided)

@@ -28,7 +28,7 @@ from diagnosis.evidence.identical_motion import REPEAT, pair_of
 from estimation.data.table import table
 from estimation.likelihood_data import GRID_S, PathRecording, Recording
 from estimation.outputs import predict
-from estimation.posterior import SURROGATE, Gaussian, PosteriorMode, SessionData, widened
+from estimation.posterior import SURROGATE, Gaussian, PosteriorMode, SessionData, root_of, widened
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
 from physics.effects.separating_experiments import EXPERIMENTS
@@ -70,7 +70,7 @@ class _PredictiveDistribution:
         weight = np.sqrt(observed.weight)
         data, jacobian = slopes
         covariance = widened(observed.model.constants, prior, variants)[2]
-        factor = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
+        factor = root_of(covariance)
         inward = factor.T @ ((at.design.T * at.weight) @ at.design) @ factor
         inner = cholesky(np.eye(factor.shape[0]) + inward, lower=True)
         root = solve_triangular(inner, factor.T, lower=True).T

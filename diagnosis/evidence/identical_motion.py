@@ -21,7 +21,7 @@ from scipy.linalg import block_diag
 
 from diagnosis.evidence.hypothesis_search import OtherMinimum, TrialModes, search
 from estimation.likelihood_data import GRID_S, Recording
-from estimation.posterior import Gaussian, SessionData, mode
+from estimation.posterior import Gaussian, SessionData, mode, root_of
 from estimation.reference_fit import ReferenceFit, SessionPrior
 from physics.laws import Array
 
@@ -86,9 +86,7 @@ def _moved(other: Recording, observed: SessionData, pair: Pair, found: TrialMode
     fit, null = found.reference, found.null
     assert fit.bench_nats is not None
     free, size = list(fit.model.constants.free), found.prior.mean.size
-    covariance = fit.bench.covariance[:len(free), :len(free)]
-    # of a nearly determined direction rounding may leave no root
-    root = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
+    root = root_of(fit.bench.covariance[:len(free), :len(free)])
     before = pair.observed.jacobian(fit.identified[pair.reference][0], free)[1]
     for _ in range(rounds):
         across = (pair.observed.jacobian(null.q, free)[1] - before) @ root
@@ -201,7 +199,8 @@ def _difference(fit: ReferenceFit, known: SessionData, observed: SessionData, nu
 def cycle_variance(trial: Recording, missed: Array, phases: int = 100, wide: int = 2) -> Array:
     """Return the variance of the residual `missed` between gait cycles at each bin's phase; 0 with less than 3 cycles.
 
-    `phases`: of the cycle.  `wide`: phases on either side over which the variance is averaged.
+    The mean of each cycle is left out: a zero that drifts is no snap.  `phases`: of the cycle.  `wide`: phases on
+    either side over which the variance is averaged.
     """
     if trial.phase is None:
         return np.zeros(missed.size)

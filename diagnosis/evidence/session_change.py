@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.special import logsumexp
 
-from estimation.posterior import Gaussian, PosteriorMode, widened
+from estimation.posterior import Gaussian, PosteriorMode, root_of, widened
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
@@ -34,7 +34,7 @@ def under(at: PosteriorMode, prior: Gaussian, variants: Sequence[Variant]) -> Po
     prior; both are linearised at x̂.
     """
     _, mean, covariance, _ = widened(at.table, prior, variants)
-    factor: Array = np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance))), np.float64)
+    factor = root_of(covariance)
     square, slope = at.information, at.design.T @ (at.weight * at.residual)
 
     def nats(mean: Array, factor: Array, inner: Any) -> float:

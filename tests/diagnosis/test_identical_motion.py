@@ -99,6 +99,20 @@ def test_an_effect_is_named_from_the_difference_and_a_repeat_names_nothing(
     assert any("has the motion of the trial" in warning for warning in changed.warnings)
 
 
+def test_a_bench_that_is_moved_costs_the_reference_trials_at_least_what_their_posterior_says(
+    bench: tuple[EvidenceFinder, ReferenceFit, Table]
+) -> None:
+    fit = bench[1]
+    assert fit.bench_nats is not None
+    free = list(fit.model.constants.free)
+    shift = np.zeros(len(free))
+    assert abs(fit.bench_nats(shift)) < 1.0  # the fit ended within that of the mode
+    k = free.index(INDEX["cable"])
+    shift[k] = 3.0 * np.sqrt(fit.bench.covariance[k, k])
+    # 4.5 nats if all other constants followed; they are held
+    assert fit.bench_nats(shift) < -4.5
+
+
 @pytest.mark.slow
 def test_a_pair_finds_the_bench_that_made_its_data(bench: tuple[EvidenceFinder, ReferenceFit, Table]) -> None:
     finder, fit, _ = bench
