@@ -10,6 +10,7 @@ FILE is a night; a run that was broken off goes on from there.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import sys
@@ -37,12 +38,12 @@ SHOWS: Final = 0.1
 
 
 def nights(aside: bool) -> Iterator[tuple[int, str]]:
-    """Serial and hidden effect of each night, "" for none: kinds in turns, so that any part of them has each kind."""
+    """Serial and hidden effect of each night without end, "" for none: kinds in turns, so that any part has each kind."""
     known = family.read(family.TABLE)
     serials = [s for s in (family.SET_ASIDE if aside else family.DEVELOPMENT)
                if "failed" not in known["family", s]]
     step, outside = round(len(HIDDEN) * 0.618), tuple(effects.OUTSIDE)
-    kinds = ["single", "single", "single", "single", "outside", "healthy"] * (SINGLES // 4)
+    kinds = itertools.cycle(["single", "single", "single", "single", "outside", "healthy"])
     singles = 0
     for i, kind in enumerate(kinds):
         hidden = HIDDEN[singles * step % len(HIDDEN)] if kind == "single" else (
@@ -135,7 +136,7 @@ def main(arguments: Sequence[str]) -> None:
     given.rows.parent.mkdir(exist_ok=True)
     kept = [json.loads(line) for line in given.rows.read_text("utf-8").splitlines()] if given.rows.exists() else []
     done = {(row["serial"], row["hidden"]) for row in kept}
-    for serial, hidden in list(nights(given.aside))[given.first:][:given.most]:
+    for serial, hidden in itertools.islice(nights(given.aside), given.first, given.first + given.most):
         if (serial, hidden) in done:
             continue
         with tempfile.TemporaryDirectory() as folder:
