@@ -116,7 +116,7 @@ class Recording:
 
     @cached_property
     def phase(self) -> Array | None:
-        """Gait phase of each bin, 0 … 1; None if the trial has no gait cycles."""
+        """Gait phase of each bin, 0 … 1, NaN outside gait cycles; None if the trial has none."""
         time = self._table["time_s"]
         if "gait_percent" in self._table:
             phase = self._table["gait_percent"] / 100.0 % 1.0
@@ -127,7 +127,8 @@ class Recording:
         else:
             return None
         at = np.searchsorted(time, self.binned(self.time_s) + time[0])
-        return np.asarray(phase[np.minimum(at, time.size - 1)])
+        phase = np.asarray(phase[np.minimum(at, time.size - 1)])
+        return phase if np.isfinite(phase).any() else None
 
     @property
     def bins(self) -> int:

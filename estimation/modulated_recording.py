@@ -41,8 +41,10 @@ def modulated(model: ForwardModel, q: Array, trial: Recording) -> ModulatedRecor
 
     The gait phase is held within a bin.
     """
-    time, phase = np.asarray(GRID_S * np.arange(trial.time_s.size)), trial.phase
-    whole = None if phase is None else np.asarray(
-        np.interp(time, trial.binned(time), np.unwrap(2.0 * np.pi * phase)) / (2.0 * np.pi) % 1.0)
+    time, phase, whole = np.asarray(GRID_S * np.arange(trial.time_s.size)), trial.phase, None
+    if phase is not None:
+        known, at = np.isfinite(phase), trial.binned(time)
+        turned = np.interp(time, at[known], np.unwrap(2.0 * np.pi * phase[known]))
+        whole = np.where(np.interp(time, at, known) > 0.5, turned / (2.0 * np.pi) % 1.0, np.nan)
     position, speed, start, end, joint = model.course(q, trial)
     return ModulatedRecording(Course(time, position, speed, start, joint, whole), end, trial)

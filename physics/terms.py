@@ -32,7 +32,7 @@ class Course(NamedTuple):
     """Signals that modulations depend on, each of shape (samples,), SI.
 
     `time_s`: from the start of the trial.  `tension_n`: tension of the model, not of the sensor, at START; at END for
-    constants of END.  `phase`: share of the gait cycle, 0 … 1, or None if the trial is no gait.  `knee_rad`: None if
+    constants of END.  `phase`: share of the gait cycle, 0 … 1, NaN outside it, or None if the trial is no gait.  `knee_rad`: None if
     no joint is recorded.
     """
 
@@ -84,8 +84,8 @@ def _bump(distance: Array, width: float) -> Array:
 
 
 def _around(course: Course, p: Mapping[str, float]) -> Array:
-    """Return the distance of the gait's phase from that of a pulse, in cycles, −0.5 … 0.5."""
-    return np.asarray((_phase(course) - p["phase"] + 0.5) % 1.0 - 0.5)
+    """Return the distance of the gait's phase from that of a pulse, in cycles, −0.5 … 0.5; outside the gait 0.5."""
+    return np.nan_to_num((_phase(course) - p["phase"] + 0.5) % 1.0 - 0.5, nan=0.5)
 
 
 def _turns(angle: Array) -> tuple[Array, Array]:

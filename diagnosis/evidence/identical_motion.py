@@ -197,21 +197,25 @@ def _difference(fit: ReferenceFit, known: SessionData, observed: SessionData, nu
 
 
 def cycle_variance(trial: Recording, missed: Array, phases: int = 100, wide: int = 2) -> Array:
-    """Return the variance of the residual `missed` between gait cycles at each bin's phase; 0 with less than 3 cycles.
+    """Return the variance of the residual `missed` between gait cycles at each bin's phase; 0 outside 3 or more cycles.
 
     The mean of each cycle is left out: a zero that drifts is no snap.  `phases`: of the cycle.  `wide`: phases on
     either side over which the variance is averaged.
     """
+    out = np.zeros(missed.size)
     if trial.phase is None:
-        return np.zeros(missed.size)
-    number, grid = np.cumsum(np.diff(trial.phase, prepend=trial.phase[0]) < -0.5), np.arange(phases) / phases
-    cycles = [rows for k in range(number[-1] + 1) if np.ptp(trial.phase[rows := number == k]) > 0.9]
+        return out
+    walked, grid = np.flatnonzero(np.isfinite(trial.phase)), np.arange(phases) / phases
+    phase = trial.phase[walked]
+    cycles = [rows for rows in np.split(np.arange(phase.size), np.flatnonzero(np.diff(phase) < -0.5) + 1)
+              if np.ptp(phase[rows]) > 0.9]
     if len(cycles) < 3:
-        return np.zeros(missed.size)
-    each = np.array([np.interp(grid, trial.phase[rows], missed[rows]) for rows in cycles])
+        return out
+    each = np.array([np.interp(grid, phase[rows], missed[walked[rows]]) for rows in cycles])
     variance = np.var(each - each.mean(axis=1, keepdims=True), axis=0, ddof=1)
     even = np.mean([np.roll(variance, k) for k in range(-wide, wide + 1)], axis=0)
-    return np.asarray(np.interp(trial.phase, grid, even))
+    out[walked] = np.interp(phase, grid, even)
+    return out
 
 
 def _prior(fit: ReferenceFit, number: int, information: Array, further: SessionPrior) -> Gaussian:

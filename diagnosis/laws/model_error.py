@@ -21,8 +21,8 @@ PARTS: Final = 50
 class ModelErrors:
     """Variances of discrepancy and model error in the trials of one session.
 
-    `columns`: 1σ of the errors that several data of a gait share, shape (data, errors).  In a trial without gait cycles
-    nothing is seen not to repeat: it has none, and the whole discrepancy counts against a term.
+    `columns`: 1σ of the errors that several data of a gait share, shape (data, errors).  Outside gait cycles
+    nothing is seen not to repeat: there are none, and the whole discrepancy counts against a term.
     """
 
     def __init__(self, observed: SessionData, prior: Gaussian, reference: ReferenceFit,
@@ -33,25 +33,23 @@ class ModelErrors:
         self._level = growth * np.array([np.mean(reference.model_error[reference.outputs.index(n)]) for n in outputs])
         self._discrepancy = np.einsum("nk,kl,nl->n", observed.features, prior.covariance[-count:, -count:],
                                       observed.features)
-        gaits = [(trial.phase, block) for trial, block in zip(observed.trials, blocks, strict=True)]
+        phases = [np.full(block.size, np.nan) if trial.phase is None else trial.phase
+                  for trial, block in zip(observed.trials, blocks, strict=True)]
         self._phases, cycles = (self._numbered(parts) for parts in (
-            [None if p is None else np.minimum((p * PARTS).astype(np.intp), PARTS - 1) for p, _ in gaits],
-            [None if p is None else block for p, block in gaits]))
+            [np.minimum(np.nan_to_num(p * PARTS, nan=-1.0).astype(np.intp), PARTS - 1) for p in phases],
+            [np.where(np.isfinite(p), block, -1) for p, block in zip(phases, blocks, strict=True)]))
         self.columns: Array = np.concatenate([
             _shared(self._phases, self._discrepancy + self._level[self._phases % len(outputs)]),
             _shared(cycles, self._level[cycles % len(outputs)])], axis=1)
 
-    def _numbered(self, parts: Sequence[NDArray[np.intp] | None]) -> NDArray[np.intp]:
-        """Return a number for the output and the part of each datum; `parts`: of each bin, by trial.
-
-        None: each bin of the trial is a part.
-        """
+    def _numbered(self, parts: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
+        """Return a number for the output and the part of each datum; `parts`: of each bin, by trial, −1: its own."""
         count, numbers = len(self._observed.outputs), list[NDArray[np.intp]]()
-        first = 1 + max((int(part.max()) for part in parts if part is not None), default=0)
-        for part, trial in zip(parts, self._observed.trials, strict=True):
-            own = np.arange(first, first + trial.data.size // count) if part is None else part
+        first = 1 + max(int(part.max()) for part in parts)
+        for part in parts:
+            own = np.where(part < 0, first + np.arange(part.size), part)
             numbers.append((np.arange(count)[:, None] + count * own).ravel())
-            first += own.size
+            first += part.size
         return np.concatenate(numbers)
 
     def least_falls(self, change: Array) -> dict[str, float]:

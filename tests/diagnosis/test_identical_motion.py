@@ -158,6 +158,11 @@ def test_the_variance_between_cycles_stands_where_cycles_differ() -> None:
     # 7 cycles and the mean over five phases: 1σ of a variance is a quarter of it
     assert np.median(variance[np.abs(trial.phase - 0.5) > 0.15]) == pytest.approx(0.01, rel=0.5)
     assert variance[np.abs(trial.phase - 0.8) < 0.03].max() < 0.03
+    rest = np.abs(at - 3.0) < 0.5
+    trial.phase = np.where(rest, np.nan, trial.phase)
+    around = cycle_variance(trial, snaps)
+    assert (around[rest] == 0.0).all()
+    assert (around[~rest & (np.abs(trial.phase - 0.5) < 0.02)] > 0.1).all()
 
 
 @pytest.mark.exhaustive

@@ -157,6 +157,18 @@ def test_a_change_that_repeats_in_each_cycle_must_exceed_the_discrepancy() -> No
 
 
 @pytest.mark.exhaustive
+def test_a_law_by_gait_phase_is_found_beside_rows_outside_the_gait(recorded: tuple[Finder, Table]) -> None:
+    # a rest between two walks, as in the experiment rest_repeat
+    finder, trial = recorded
+    rest = np.abs(trial["time_s"] - 4.0) < 0.7
+    end, phase = np.where(rest, trial["tension_end_n"], pulsing(trial)), np.where(rest, np.nan, trial["gait_percent"])
+    laws, _ = finder.discover([dataclasses.replace(
+        trial, columns={**trial.columns, "tension_end_n": end, "gait_percent": phase})])
+    assert laws.terms[0].modulation == "phase_bump"
+    assert laws.terms[0].parameters["phase"] == pytest.approx(0.62, abs=0.03)
+
+
+@pytest.mark.exhaustive
 def test_a_healthy_trial_has_no_law(recorded: tuple[Finder, Table]) -> None:
     finder, trial = recorded
     assert not finder.discover([trial])[0].terms
