@@ -32,8 +32,8 @@ class Course(NamedTuple):
     """Signals that modulations depend on, each of shape (samples,), SI.
 
     `time_s`: from the start of the trial.  `tension_n`: tension of the model, not of the sensor, at START; at END for
-    constants of END.  `phase`: share of the gait cycle, 0 … 1, NaN outside it, or None if the trial is no gait.  `knee_rad`: None if
-    no joint is recorded.
+    constants of END.  `phase`: share of the gait cycle, 0 … 1, NaN outside it, or None if the trial is no gait.
+    `knee_rad`: None if no joint is recorded.
     """
 
     time_s: Array

@@ -38,7 +38,7 @@ SHOWS: Final = 0.1
 
 
 def nights(aside: bool) -> Iterator[tuple[int, str]]:
-    """Serial and hidden effect of each night without end, "" for none: kinds in turns, so that any part has each kind."""
+    """Serial and hidden effect of each night without end, "" for none; kinds in turns: any part has each."""
     known = family.read(family.TABLE)
     serials = [s for s in (family.SET_ASIDE if aside else family.DEVELOPMENT)
                if "failed" not in known["family", s]]
