@@ -119,7 +119,7 @@ class Finder:
         core = self._core(tables)
         if core is self._bench:
             tables = [self._simulable(t) for t in tables]
-        refused = _short(tables) or core.lacking(tables) or core.unlike(tables)
+        refused = _short(tables) or core.lacking(tables) or core.unlike(tables) or core.unlike_motion(tables)
         if refused:
             raise InputError(refused)
         return discover(*core.observed(tables)), self._model(core, tables)
