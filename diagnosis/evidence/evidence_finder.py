@@ -204,8 +204,8 @@ class EvidenceFinder:
         if not self._of_gaits() or any("gait_percent" in t for t in trials):
             return ""
         return (f"{Path(trials[0].source).name} has no gait_percent, and all reference trials have: what the "
-                "model misses in this motion is unknown. Give a gait of the same session beside it, or this experiment in the "
-                "reference condition (--healthy).")
+                "model misses in this motion is unknown. Give a gait of the same session beside it, or this experiment "
+                "in the reference condition (--healthy).")
 
     def reference(self, trials: Sequence[Table]) -> ReferenceFit:
         """Return the reference condition, with the outputs that all reference trials and `trials` have.
