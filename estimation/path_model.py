@@ -181,7 +181,7 @@ def _regressed(trial: PathRecording, far_m: float = 0.1, off_m: float = 2e-3) ->
     """Return zero, m, lever arm, m/rad, and stretch at 40 N, m, by regression of the taut rope.
 
     None if fewer than 50 samples are taut.  Where the rope is taut at hardly more than one knee angle, zero and lever
-    arm cannot be told apart: a zero farther than `far_m` from the rope is regressed once more, beside a prior.
+    arm cannot be separated: a zero farther than `far_m` from the rope is regressed once more, beside a prior.
     `off_m`: 1σ by which friction and fabric displace the rope, as a whole like 50 samples without correlation.
     """
     taut = trial.start_n > TAUT_N

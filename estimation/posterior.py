@@ -1,4 +1,6 @@
-"""Posterior mode (Gauss–Newton) and evidence (Laplace) of one trial; constants and discrepancy have a Gaussian prior.
+"""Posterior mode (Gauss–Newton) and evidence (Laplace) of one trial.
+
+Constants and discrepancy have a Gaussian prior.
 
     cost(x) = Σ ρ((y − f(q0 + x) − Φc)/σ) + (x − μ)ᵀP⁻¹(x − μ)        ρ Huber's loss, x = (constants, c)
     ln p(y) = −½ cost(x̂) − ½ ln det(I + LᵀHᵀWHL),  P = LLᵀ,  H = [∂f/∂q, Φ]      up to a constant of the trial
@@ -198,7 +200,7 @@ class PosteriorMode:
 
 
 def root_of(covariance: Array) -> Array:
-    """Return the Cholesky factor L of a covariance, LLᵀ; rounding may leave none of a nearly determined direction."""
+    """Return the Cholesky factor L of a covariance, LLᵀ, also where rounding makes an eigenvalue hardly negative."""
     return np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance))), np.float64)
 
 

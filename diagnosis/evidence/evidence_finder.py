@@ -119,7 +119,7 @@ class EvidenceFinder:
                             "so it removes no effect; record it in the reference condition, too.")
             decided = split or decided
         figures = _held_out(found, decided, reference, trials, read)
-        unlike = self.unlike_motion(trials)
+        unlike = "" if pair is not None else self.unlike_motion(trials)
         if refused := unlike or _refused(found, decided):
             said.append(refused)
             decided = self._known(decision.unnamed(found), bool(unlike))
@@ -198,8 +198,7 @@ class EvidenceFinder:
     def unlike_motion(self, trials: Sequence[Table]) -> str:
         """Return a sentence if all reference trials are gaits and no trial is one; else "".
 
-        What the model misses in another motion, no gait shows: on the packaged bench in the reference condition 4 of 14
-        experiments by themselves have an effect of 14 to 44 nats, and beside a gait of their session none.
+        Gaits do not show the model's error in another motion, so that a name could be that error's (decision 67).
         """
         if not self._of_gaits() or any("gait_percent" in t for t in trials):
             return ""
