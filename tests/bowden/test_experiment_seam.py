@@ -13,8 +13,7 @@ Run = Callable[..., Any]
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("experiment", ["two_peaks", "two_speeds", "dither", "hold_return", "full_turns",
-                                        "rest_repeat"])
+@pytest.mark.parametrize("experiment", ["two_peaks", "two_speeds", "dither"])
 def test_an_experiment_has_no_name_and_can_be_a_reference_trial(bowden: Run, here: Path, experiment: str) -> None:
     gaits = {"good1": (40, 2.0, 0), "good2": (32, 1.5, 0), "again": (40, 2.0, 3)}
     for name, (peak, period, seed) in gaits.items():
@@ -25,8 +24,6 @@ def test_an_experiment_has_no_name_and_can_be_a_reference_trial(bowden: Run, her
     for trials in (("other.mcap",), ("again.mcap", "other.mcap")):
         told = bowden("diagnose", *trials, *healthy, "--json")
         assert (told.status, json.loads(told.stdout)["verdict"]) == (0, "none"), told.stderr
-    # the rest has gaits before and after it
     sought = bowden("discover", "other.mcap", *healthy)
-    assert sought.status == (0 if experiment == "rest_repeat" else 2), sought.stderr
-    assert ("all reference trials have" in sought.stderr) == (experiment != "rest_repeat")
+    assert (sought.status, "all reference trials have" in sought.stderr) == (2, True)
     assert bowden("diagnose", "again.mcap", "--healthy", "good2.mcap", "--healthy", "other.mcap").status == 0
