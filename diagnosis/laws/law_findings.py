@@ -30,7 +30,7 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
     """Return the terms that extend the model of `reference` in trials of one session.
 
     `observed`: the trials' data; `tables`: the same trials; `variants`: effects that stay beside the terms.  A term is
-    kept if it worsens no signal on held-out cycles by more than `WORSE`, and gains on them.  So is a first one that
+    kept if it worsens no signal on held-out cycles (`worse`), and gains on them.  So is a first one that
     brings the session's constants back into their scatter and halves their departure (`DOUBTED`).  The first term that
     is not kept ends the search.
     """
@@ -50,13 +50,14 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
         """Return why terms are not kept, "" if they are, and whether they bring the session back into its scatter."""
         count = len(more) - 1
         before, after = without(count, False), search.predicted(more, there)
-        if worse(figures(before, after)):
+        if worse(figures(before, after), observed.model.judged):
             before, after = without(count, True), search.predicted(more, there, True)
         errors, least = figures(before, after), search.errors.least_falls(before - after)
         # where the model is wrong, any bump that fits its error takes a little of the departure
-        back = not count and not worse(errors) and departure(observed, there) <= min(
+        harm = worse(errors, observed.model.judged)
+        back = not count and not harm and departure(observed, there) <= min(
             DOUBTED, search.departed / DOUBTED) and search.departed > DOUBTED
-        return worse(errors) or unconfirmed(errors, least), back
+        return harm or unconfirmed(errors, least), back
 
     while len(fits) <= MOST_TERMS:
         chosen, at = fits[-1][0], fits[-1][1] if fits[-1][0] else search.first
@@ -86,10 +87,15 @@ def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Ta
                 [_picture(search, chosen, at, k) for k in range(len(chosen))])
 
 
-def worse(errors: Mapping[str, Figures]) -> str:
-    """Return a sentence on a signal whose error on held-out cycles grows by more than `WORSE` with a term, else ""."""
+def worse(errors: Mapping[str, Figures], judged: Sequence[str]) -> str:
+    """Return a sentence on a signal whose error on held-out cycles grows by more than `WORSE` with a term, else "".
+
+    Of a signal that is not `judged` whole cycles must confirm it: a session without the term bends the constants of the
+    drive, too, and may predict its force better by chance.
+    """
     return next((f"{name} is predicted worse on held-out cycles" for name, f in errors.items()
-                 if (f.rmse_after or 0.0) > WORSE * (f.rmse_session or 0.0)), "")
+                 if (f.rmse_after or 0.0) > WORSE * (f.rmse_session or 0.0)
+                 and (name in judged or (f.high or 0.0) < 100.0 * (1.0 - WORSE))), "")
 
 
 def unconfirmed(errors: Mapping[str, Figures], least: Mapping[str, float]) -> str:
