@@ -114,7 +114,7 @@ class PathModel(ForwardModel):
         found = _regressed(trial)
         if found is not None:
             zero, arm, stretch = found
-            q[INDEX["zero"]], q[INDEX["arm"]] = zero, np.clip(arm - 0.04, -0.01, 0.01)
+            q[INDEX["zero"]], q[INDEX["arm"]] = zero, arm - CONSTANTS.rows[INDEX["arm"]].middle
             q[INDEX["stiffness"]] = np.log(0.01 / (1.5 * max(stretch, 2e-3)))
         return q
 
@@ -177,29 +177,26 @@ class PathModel(ForwardModel):
         return super().weighed(trial, told)
 
 
-def _regressed(trial: PathRecording, far_m: float = 0.1, off_m: float = 2e-3) -> tuple[float, float, float] | None:
-    """Return zero, m, lever arm, m/rad, and stretch at 40 N, m, by regression of the taut rope.
+def _regressed(trial: PathRecording, off_m: float = 2e-3) -> tuple[float, float, float] | None:
+    """Return zero, m, lever arm, m/rad, and stretch at 40 N, m, by regression of the taut rope beside a prior.
 
-    None if fewer than 50 samples are taut.  Where the rope is taut at hardly more than one knee angle, zero and lever
-    arm cannot be separated: a zero farther than `far_m` from the rope is regressed once more, beside a prior.
-    `off_m`: 1σ by which friction and fabric displace the rope, as a whole like 50 samples without correlation.
+    None if fewer than 50 samples are taut.  Without the prior, zero and lever arm could not be separated where the rope
+    is taut at hardly more than one knee angle.  `off_m`: 1σ by which friction and fabric displace the rope, as a whole
+    like 50 samples without correlation.
     """
     taut = trial.start_n > TAUT_N
     load = trial.start_n[taut]
     if load.size < 50:
         return None
     on = trial.knee_rad[taut] + 0.5
-    design = np.stack([np.ones(load.size), on, on**2, load, 3.0 * np.log1p(load / 3.0)], axis=1)
-    rope, middle = trial.rope_m[taut], CONSTANTS.rows[INDEX["arm"]].middle
-    zero, arm, _, linear, curved = np.linalg.lstsq(design, rope, rcond=None)[0]
-    if abs(zero - rope.mean()) > far_m:
-        # 1σ of zero, m, lever arm, m/rad and m/rad², and of both parts of the stretch, 10 mm at 40 N
-        spread, weight = np.array([1.0, 0.01, 0.01, 2.5e-4, 1.3e-3]), np.sqrt(50.0 / rope.size) / off_m
-        zero, arm, _, linear, curved = np.linalg.lstsq(
-            np.concatenate([weight * design, np.diag(1.0 / spread)]),
-            np.append(weight * (rope - middle * on), np.zeros(spread.size)), rcond=None)[0]
-        arm += middle
-    return float(zero), float(arm), float(40.0 * linear + 3.0 * curved * np.log1p(40.0 / 3.0))
+    design = np.stack([np.ones(load.size), on, on**2, load / 40.0, np.log1p(load / 3.0) / np.log1p(40.0 / 3.0)], axis=1)
+    # 1σ of zero, m, lever arm, m/rad and m/rad², and of the linear and the curved stretch at 40 N, m
+    spread, weight = np.array([1.0, 0.01, 0.01, 0.02, 0.02]), np.sqrt(50.0 / load.size) / off_m
+    middle = CONSTANTS.rows[INDEX["arm"]].middle
+    zero, arm, _, linear, curved = np.linalg.lstsq(
+        np.concatenate([weight * design, np.diag(1.0 / spread)]),
+        np.append(weight * (trial.rope_m[taut] - middle * on), np.zeros(spread.size)), rcond=None)[0]
+    return float(zero), float(middle + arm), float(linear + curved)
 
 
 PATH_MODEL: Final = PathModel()
