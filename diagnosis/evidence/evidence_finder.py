@@ -99,7 +99,8 @@ class EvidenceFinder:
         trials, others = self._by_motion(trials)
         read = [self.recording(t, outputs) for t in trials]
         observed = reference.observe(*read)
-        found, pair = search_trial(reference, [self.recording(t, outputs) for t in self._tables], observed)
+        unlike = self.unlike_motion(trials)
+        found, pair = search_trial(reference, [self.recording(t, outputs) for t in self._tables], observed, not unlike)
         observed = found.observed
         decided = self._decided(found)
         bench = self.model.constants.named(found.reference.bench_coordinates())
@@ -119,10 +120,12 @@ class EvidenceFinder:
                             "so it removes no effect; record it in the reference condition, too.")
             decided = split or decided
         figures = _held_out(found, decided, reference, trials, read)
-        unlike = "" if pair is not None else self.unlike_motion(trials)
-        if refused := unlike or _refused(found, decided):
+        if unlike and pair is None:
+            said.append(unlike)
+            decided = replace(decided, lacking=(), verdict="none")
+        elif refused := _refused(found, decided):
             said.append(refused)
-            decided = self._known(decision.unnamed(found), bool(unlike))
+            decided = self._known(decision.unnamed(found))
             figures = replace(figures, named=None)
         if pair is not None and decided.chosen and len(self._tables) == 1:
             said.append(f"{Path(self._tables[0].source).name} alone does not show how far sessions differ: a second "
@@ -224,9 +227,9 @@ class EvidenceFinder:
         """
         return self._known(decision.decide(found))
 
-    def _known(self, decided: Decision, unlike: bool = False) -> Decision:
+    def _known(self, decided: Decision) -> Decision:
         """Return a decision without a lack of fit if no reference trial shows the model's error, else as it is."""
-        if self._tables and not unlike:
+        if self._tables:
             return decided
         return replace(decided, lacking=(), verdict="none" if decided.verdict == "unexplained" else decided.verdict)
 

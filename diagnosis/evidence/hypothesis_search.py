@@ -108,15 +108,19 @@ def hypotheses(observed: SessionData, constants: Mapping[str, float]) -> dict[st
 
 
 def search(observed: SessionData, prior: Gaussian, reference: ReferenceFit,
-           session_priors: Sequence[tuple[float, Gaussian]] = ()) -> TrialModes:
+           session_priors: Sequence[tuple[float, Gaussian]] = (), effects: bool = True) -> TrialModes:
     """Fit the null and the effects that the screen ranks first, and restart the fits from each other's modes.
 
-    The null starts at the prior's mean and at the modes of the trials of the `reference` condition.
+    The null starts at the prior's mean and at the modes of the trials of the `reference` condition.  `effects`: False
+    for the null alone.
     """
-    null = max((mode(observed, prior, start=at) for at in (None, *reference.starts())), key=lambda m: m.log_evidence)
+    starts = (None, *reference.starts()) if effects else (None,)
+    null = max((mode(observed, prior, start=at) for at in starts), key=lambda m: m.log_evidence)
     found = TrialModes(observed, prior, reference, null, session_priors=session_priors,
                        other_minimum=None if reference.joint_minimum is None else joint_minimum)
     found.null = _averaged(found, null)
+    if not effects:
+        return found
     offered = hypotheses(observed, observed.model.constants.named(prior.origin))
     # at the reference constants no constant has taken up an effect
     _screen(found, offered, mode(observed, prior, descends=False), FOREMOST // 2)

