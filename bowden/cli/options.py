@@ -314,6 +314,8 @@ class Bus(NamedTuple):
 
 BusAlone = Annotated[Bus, "interface", "channel", "bitrate", "option"]
 """Options of a bus for a command that reads no configuration: without --config and --raise-limits."""
+BusConfigured = Annotated[Bus, *BusAlone.__metadata__, "config"]
+"""Options of a bus for a command whose limits are those of the configuration: without --raise-limits."""
 
 
 _options_of = cache(partial(get_type_hints, include_extras=True))

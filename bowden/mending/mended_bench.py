@@ -44,6 +44,12 @@ class MendedBench:
         """95 % interval of the mean fall, by Student's t over the pairs; None with fewer than two."""
         return paired_interval(self.before, self.after) if len(self.before) > 1 else None
 
+    @property
+    def scatter(self) -> str:
+        """Interval of the mean fall in words; why there is none with a single pair."""
+        low, high = self.interval or (None, None)
+        return "one pair of trials, so no interval" if low is None else f"95 %: {low:.3g} … {high:.3g}"
+
     def as_json(self) -> dict[str, Any]:
         """Return the object that `bowden mend --json` prints."""
         return {"ending": self.ending, "verdict": self.verdict, "names": list(self.names),
@@ -67,11 +73,10 @@ def write_page(result: MendedBench, path: Path) -> None:
     page.section("Outcome")
     page.text(_sentence(result))
     if result.gain is not None:
-        low, high = result.interval or (None, None)
         page.tiles([
             Tile(number(float(np.mean(result.before)), 3), "%", "END without the extension", "error, of the peak"),
             Tile(number(float(np.mean(result.after)), 3), "%", "END with it", "error, of the peak"),
-            Tile(number(result.gain, 3), "points", "gain", f"95 %: {number(low, 3)} … {number(high, 3)}")])
+            Tile(number(result.gain, 3), "points", "gain", result.scatter)])
         pairs = np.arange(1.0, len(result.before) + 1.0)
         page.plot(Plot("END's error by pair of trials", pairs, [
             Series("A: without it", result.before, "#d97706", points=True),

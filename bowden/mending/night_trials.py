@@ -12,17 +12,19 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bowden.bench import configuration
 from bowden.bench.buses import BusSettings
 from bowden.mending.journal import Journal
 from bowden.model_files import BenchModel
 from bowden.progress import Progress
-from bowden.trials import session
+from bowden.trials import recorded, session
 from bowden.trials.experiment import GAIT, Experiment
 from bowden.trials.recorded_trial import Trial
 from bowden.trials.session import PreparedTrial
 from estimation.data.table import NOMINAL
 from parameters import InputError
 from physics import bench_model
+from trial import read
 
 Floats = NDArray[np.float64]
 
@@ -51,22 +53,23 @@ def end_error(trial: Trial) -> Floats:
 class NightTrials:
     """Trials of a run in `folder`, each a step of its `journal`, within `hours` of bench time.
 
-    `gait`: the reference gait of the greatest peak, in the trial `walked`.  `plain`: the calibration of the reference
-    trials, None for the packaged nominal one.
+    `asked`: configuration, cycles and bit rate of every trial.  `gait`: the reference gait of the greatest peak, in the
+    trial `walked`.  `plain`: the calibration of the reference trials, None for the packaged nominal one.
     """
 
-    def __init__(self, reference: Sequence[Path], folder: Path, bus: BusSettings, hours: float, cycles: int,
+    def __init__(self, reference: Sequence[Path], folder: Path, bus: BusSettings, hours: float, asked: Experiment,
                  progress: Progress) -> None:
         self.folder, self.bus, self.progress = folder, bus, progress
         trials = [_reference_trial(path) for path in reference]
+        _refuse_other_bench(reference, None if asked.configuration is None else Path(asked.configuration))
         self.plain = _calibration(trials[0])
         gaits = [trial for trial in trials if trial.metadata.get("experiment", GAIT) == GAIT]
         if not gaits:
             raise InputError("mend: no reference trial is a gait; record one with bowden trial.")
         walked = max(gaits, key=lambda trial: float(trial.metadata["peak_n"]))
         self.walked = Path(walked.path)
-        self.gait = Experiment(peak_n=float(walked.metadata["peak_n"]), period_s=float(walked.metadata["period_s"]),
-                               cycles=cycles, controller=walked.metadata["controller"], model=self.plain)
+        self.gait = replace(asked, peak_n=float(walked.metadata["peak_n"]), model=self.plain,
+                            period_s=float(walked.metadata["period_s"]), controller=walked.metadata["controller"])
         # another controller leaves a larger error than an extension mends: END is then compared with the desired force
         alike = walked.metadata["controller"] == "extended" and self.plain is not None
         self.restored = end_error(walked) if alike else np.zeros(BINS)
@@ -138,6 +141,21 @@ def _reference_trial(path: Path) -> Trial:
     if missing:
         raise InputError(f"{path}: has no {', '.join(missing)}; give a trial that bowden trial recorded.")
     return trial
+
+
+def _refuse_other_bench(reference: Sequence[Path], file: Path | None) -> None:
+    """Raise `InputError` for a configuration whose bench no run can repair, or is not that of the reference trials."""
+    bench, named = configuration.read(file)["network"].bench, file or "the packaged bench"
+    if len(bench.force_paths) > 1:
+        raise InputError(f"mend: {named} has the force paths {', '.join(bench.path_prefixes)}; mend repairs a bench of "
+                         "one. Use bowden diagnose --path and bowden verify --path.")
+    if not bench.measures_end:
+        raise InputError(f"mend: {named} has no END load cell, so that no trial proves an extension. Use bowden "
+                         "diagnose.")
+    for path in reference:
+        if recorded.sections(read.open(path))["network"].bench.shape != bench.shape:
+            raise InputError(f"{path}: was recorded on a bench with other devices than {named}; give its "
+                             "bench.toml with --config.")
 
 
 def _calibration(trial: Trial) -> BenchModel | None:

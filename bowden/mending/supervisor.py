@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bowden.bench import buses, configuration
+from bowden.bench import buses
 from bowden.bench.buses import BusSettings
 from bowden.mending.journal import Journal
 from bowden.mending.mended_bench import MendedBench, paired_interval, write_page
@@ -49,21 +49,25 @@ REPEAT: Final = repeated_motion.NAME
 
 
 def mend(reference: Sequence[str | Path], folder: str | Path, *, bus: BusSettings | None = None, hours: float = 1.0,
-         cycles: int = 10, resume: bool = False, progress: Progress = SILENT) -> MendedBench:
+         cycles: int = 10, configuration: str | Path | None = None, bitrate: int | None = None, resume: bool = False,
+         progress: Progress = SILENT) -> MendedBench:
     """Repair the model of a bench without anybody, within `hours` of bench time; returns the outcome.
 
     `reference`: trials of the bench in the reference condition, recorded by `bowden trial`; their peak force is the
-    greatest that is asked for.  `folder`: where trials and journal go.  `resume`: go on with the journal there.  Every
-    trial has all limits and the safe stop.  Raises `InputError` for unusable input.
+    greatest that is asked for.  `folder`: where trials and journal go.  `configuration`: a bench.toml (None: the
+    packaged bench).  `bitrate`: of the bus, bit/s, in place of the configuration's.  `resume`: go on with the journal
+    in `folder`.  Every trial has all limits and the safe stop.  Raises `InputError` for unusable input.
     """
     paths, folder = [Path(path) for path in reference], Path(folder)
-    bench = NightTrials(paths, folder, bus or buses.simulated(), hours, cycles, progress)
+    asked = Experiment(configuration=configuration, cycles=cycles, bitrate=bitrate)
+    bench = NightTrials(paths, folder, bus or buses.simulated(), hours, asked, progress)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); give a writable place.") from None
     journal = Journal(folder / JOURNAL, {
-        "reference": [str(path.resolve()) for path in paths], "hours": hours, "cycles": cycles}, resume=resume)
+        "reference": [str(path.resolve()) for path in paths], "hours": hours, "cycles": cycles,
+        **({} if configuration is None else {"configuration": str(configuration)})}, resume=resume)
     return _Run(paths, bench, journal).run()
 
 
@@ -109,7 +113,7 @@ class _Run:
         The diagnosis compares the two trials directly, so that the repeated one is diagnosed alone.
         """
         try:
-            prepared = repeated_motion.prepared(self.bench.walked, configuration.read(None), self.bench.bus)
+            prepared = repeated_motion.prepared(self.bench.walked, self.bench.gait.sections(), self.bench.bus)
         except InputError as error:
             reason = f"not repeated: {error}"
             self.journal.step(REPEAT, lambda: {"experiment": reason})

@@ -65,8 +65,7 @@ class Experiment:
 
     def prepared(self, bus: BusSettings, progress: Progress = SILENT) -> session.PreparedTrial:
         """Check the experiment for a bus; raises `InputError` for unusable input before a frame is sent."""
-        sections = configuration.read(None if self.configuration is None else Path(self.configuration))
-        sections["network"] = self._overridden(sections["network"], _OF_NETWORK)
+        sections = self.sections()
         knee, desired = (None if given is None else Path(given) for given in (self.knee, self.desired))
         desired = session.desired_file(desired)
         sections["walk"] = configuration.drawn(
@@ -78,6 +77,12 @@ class Experiment:
             sections, model, bus, peak_given=self.peak_n is not None, period_given=self.period_s is not None,
             settle_given=self.settle is not None, knee=knee, desired=desired, dry_run=self.dry_run,
             script=None if self.name == GAIT else self.name, progress=progress)
+
+    def sections(self) -> dict[str, Any]:
+        """Return the checked sections of the configuration, with the network that the experiment states."""
+        sections = configuration.read(None if self.configuration is None else Path(self.configuration))
+        sections["network"] = self._overridden(sections["network"], _OF_NETWORK)
+        return sections
 
     def _overridden(self, section: Any, names: tuple[str, ...]) -> Any:
         given = {name: getattr(self, name) for name in names}

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 import bowden
+from bowden.bench import configuration
 from bowden.mending.journal import Journal
-from bowden.mending.mended_bench import paired_interval
+from bowden.mending.mended_bench import MendedBench, paired_interval
 from bowden.models.diagnosing import DiagnosisResult
 from diagnosis.findings import Findings
 from diagnosis.laws.law_result import Laws
@@ -55,6 +56,11 @@ def test_the_interval_of_paired_gains_is_students() -> None:
     assert (round(low, 3), round(high, 3)) == (0.87, 1.13)
 
 
+def test_a_single_pair_has_no_interval() -> None:
+    found = MendedBench("time is up", Path("night"), before=[2.0], after=[1.0])
+    assert (found.gain, found.interval, found.scatter) == (1.0, None, "one pair of trials, so no interval")
+
+
 def test_a_size_is_scaled_from_where_the_bench_was() -> None:
     cause = {"effect": "cable_friction", "was": {"mu1": 0.1}, "parameters": {
         "mu1": {"value": 0.2, "low": 0.18, "high": 0.22, "unit": ""}}}
@@ -76,6 +82,19 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     bowden.run(bowden.Experiment(cycles=1, settle=0, period_s=0.6), output=good)
     with pytest.raises(InputError, match=r"good\.mcap/night: cannot be made"):
         bowden.mend([good], good / "night")
+
+
+@pytest.mark.parametrize(("shape", "sentence"), [
+    ("bench_start_only", "has no END load cell"), ("bench_two_legs", "repairs a bench of one"),
+    ("bench_no_knee_drive", r"good\.mcap: was recorded on a bench with other devices than"),
+])
+def test_a_bench_that_no_run_can_repair_is_refused(tmp_path: Path, shape: str, sentence: str) -> None:
+    good, bench = tmp_path / "good.mcap", tmp_path / "bench.toml"
+    bowden.run(bowden.Experiment(cycles=1, settle=0, period_s=0.6), output=good)
+    bench.write_text(configuration.as_template(shape=shape), encoding="utf-8")
+    with pytest.raises(InputError, match=sentence):
+        bowden.mend([good], tmp_path / "night", configuration=bench)
+    assert not (tmp_path / "night").exists()
 
 
 @pytest.mark.exhaustive

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from bowden.cli import ending, options, terminal
 from bowden.cli.app import NothingGivenError, app
-from bowden.cli.options import BusAlone, SimulatedOptions, argument, new_file, option
+from bowden.cli.options import BusConfigured, SimulatedOptions, argument, new_file, option
 from bowden.cli.terminal import AnswerTable, CommandAnswer, Paragraph, Words
 from bowden.deferred import on_first_use
 from parameters import InputError
@@ -115,7 +115,7 @@ def mend(
     hours: Annotated[float, option("Bench time after which no trial begins.", "HOURS", min=0.0)] = 1.0,
     cycles: Annotated[int, option("Gait cycles of each trial.", "COUNT", min=4)] = 10,
     resume: Annotated[bool, option("Go on with the journal in the folder.")] = False,
-    *, simulated: SimulatedOptions, reached: BusAlone,
+    *, simulated: SimulatedOptions, reached: BusConfigured,
 ) -> CommandAnswer:
     """Repair the model of a bench unattended.
 
@@ -124,14 +124,14 @@ def mend(
     if not reference:
         raise NothingGivenError("--reference TRIAL -o DIR",
                                 "give a trial of the bench in the reference condition.")
-    found = supervisor.mend(reference, output, bus=reached.chosen(simulated), hours=hours, cycles=cycles, resume=resume,
-                            progress=terminal.TERMINAL)
+    found = supervisor.mend(
+        reference, output, bus=reached.chosen(simulated), hours=hours, cycles=cycles, configuration=reached.config,
+        bitrate=reached.bitrate, resume=resume, progress=terminal.TERMINAL)
     stopped = "stopped" in found.ending or "time is up" in found.ending
-    low, high = found.interval or (float("nan"), float("nan"))
     return CommandAnswer(found.as_json(), [
         *(Paragraph(f"Law: {equation}.") for equation in found.equations),
         f"Named: {', '.join(map(words, found.names))}." if found.names else "",
         "" if found.gain is None else
-        f"END's error falls by {found.gain:.3g} points of the peak (95 %: {low:.3g} … {high:.3g}).",
+        f"END's error falls by {found.gain:.3g} points of the peak ({found.scatter}).",
         f"{found.ending[:1].upper()}{found.ending[1:]}.", f"Page: {found.folder / 'mend.html'}"],
         ending.CTRL_C if found.ending.startswith("interrupted") else int(stopped))
