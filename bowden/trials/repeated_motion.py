@@ -20,9 +20,10 @@ from bowden.deferred import on_first_use
 from parameters import InputError
 
 with on_first_use():
-    from bowden.trials import provenance, recorded, session
+    from bowden.trials import force_paths, provenance, recorded, session
     from bowden.trials.session import PreparedTrial
     from master.control.controller import RecordedTargets
+    from master.motion.experiment_run import ExperimentSetup
     from trial import read
     from trial.read import Trial
 
@@ -55,24 +56,46 @@ def prepared(given: Path, sections: Mapping[str, Any], chosen: BusSettings) -> P
 
     Raises `InputError` for a trial whose motion cannot be repeated.
     """
-    trial = read.open(given)
-    if trial.metadata.get("dry_run") == "true" or (trial.result or {}).get("outcome") != "completed":
-        raise InputError(f"{given}: --motion-of needs a trial that moved the bench to its end.")
-    setup = recorded.experiment(trial)
-    rate_hz = sections["network"].rate_hz
-    if setup.walk.differs:
-        raise InputError(f"{given}: its force follows strides that differ; --motion-of repeats a gait on the clock.")
-    if setup.network.rate_hz != rate_hz:
-        raise InputError(f"{given}: its targets are for {setup.network.rate_hz} Hz, the network runs {rate_hz}; say "
-                         f"--rate {setup.network.rate_hz}.")
-    sent = sent_targets(trial)
+    whole, bench = read.open(given), sections["network"].bench
+    names = read.path_names(whole)
+    if names != (tuple(path.name for path in bench.force_paths) if force_paths.several(bench) else ()):
+        raise InputError(f"{given}: records {_paths(names)}, this bench has {_paths(bench.path_prefixes)}; give its "
+                         "bench.toml with --config.")
+    trials = {name: read.one_path(whole, name) for name in names} or {"": whole}
+    setups = {name: _setup(trial, sections["network"].rate_hz) for name, trial in trials.items()}
+    sent, setup = {name: sent_targets(trial) for name, trial in trials.items()}, next(iter(setups.values()))
     kept = (provenance.CONTROLLER_MODEL, *(f"{part}.csv" for part in recorded.CURVES))
-    files = {name: trial.attachments[name] for name in kept if name in trial.attachments}
+    files = {name: whole.attachments[name] for name in kept if name in whole.attachments}
+    files |= {f"{name}.{ATTACHMENT}" if name else ATTACHMENT: text(targets) for name, targets in sent.items()}
     made = session.prepare({**sections, **{name: getattr(setup, name) for name in SETTINGS}}, setup.reference, None,
-                           chosen, dry_run=False, files={**files, ATTACHMENT: text(sent)})
-    experiment = dataclasses.replace(
-        made.experiment, calibration=setup.calibration, known=setup.known, terms=setup.terms, targets=sent)
-    return dataclasses.replace(made, experiment=experiment)
+                           chosen, dry_run=False, files=files)
+
+    def repeated(experiment: ExperimentSetup, name: str) -> ExperimentSetup:
+        own = setups[name]
+        return dataclasses.replace(
+            experiment, calibration=own.calibration, known=own.known, terms=own.terms, targets=sent[name])
+
+    paths = {name: repeated(experiment, name) for name, experiment in made.paths.items()}
+    return dataclasses.replace(
+        made, experiment=made.experiment if paths else repeated(made.experiment, ""), paths=paths)
+
+
+def _paths(names: tuple[str, ...]) -> str:
+    return f"the force paths {', '.join(names)}" if len(names) > 1 else "a single force path"
+
+
+def _setup(trial: Trial, rate_hz: int) -> ExperimentSetup:
+    """Return the experiment of a trial; raises `InputError` where its motion cannot be repeated at the rate."""
+    if trial.metadata.get("dry_run") == "true" or (trial.result or {}).get("outcome") != "completed":
+        raise InputError(f"{trial.path}: --motion-of needs a trial that moved the bench to its end.")
+    setup = recorded.experiment(trial)
+    if setup.walk.differs:
+        raise InputError(f"{trial.path}: its force follows strides that differ; --motion-of repeats a gait on the "
+                         "clock.")
+    if setup.network.rate_hz != rate_hz:
+        raise InputError(f"{trial.path}: its targets are for {setup.network.rate_hz} Hz, the network runs {rate_hz}; "
+                         f"say --rate {setup.network.rate_hz}.")
+    return setup
 
 
 def sent_targets(trial: Trial) -> RecordedTargets:
