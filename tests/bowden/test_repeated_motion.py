@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bowden.bench import configuration
 from bowden.cli.app import run
 from trial import read
 
@@ -48,6 +49,24 @@ def test_rope_and_knee_move_as_they_did_and_the_controller_replays(ran: Path, bo
     assert any("good.mcap alone does not show how far sessions differ" in said for said in told["warnings"])
 
 
+def test_every_force_path_moves_as_it_did_and_replays(
+        tmp_path: Path, bowden: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bench.toml").write_text(configuration.as_template(shape="bench_antagonists"), encoding="utf-8")
+    bench = ("trial", "--config", "bench.toml", "--json")
+    assert bowden(*bench, "--cycles", 1, "--settle", 0, "--period", 1.2, "-o", "good.mcap").status == 0
+    status, _, err = bowden(*bench, "--motion-of", "good.mcap", "--day", 1, "-o", "again.mcap")
+    assert status == 0, err
+    good, again = (read.open(Path(name)).columns for name in ("good.mcap", "again.mcap"))
+    for path in ("flexor", "extensor"):
+        walked = [np.isfinite(one[f"{path}.gait_percent"]) for one in (good, again)]
+        for name in ("servo_target_m", "knee_target_rad"):
+            first, second = (one[f"{path}.{name}"][rows] for one, rows in zip((good, again), walked, strict=True))
+            assert np.array_equal(first, second), (path, name)
+        status, out, err = bowden("replay", "again.mcap", "--path", path, "--onto", "controller", "--json")
+        assert (status, json.loads(out)["differing"]) == (0, {}), err
+
+
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a short trial and a dry run."""
@@ -55,6 +74,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, more in (("good.mcap", ()), ("dry.mcap", ("--dry-run",))):
         assert run(["trial", "--cycles", "1", "--settle", "0", "--period", "1.2", *more, "-o", str(folder / name),
                     "--json"]) == 0
+    (folder / "legs.toml").write_text(configuration.as_template(shape="bench_two_legs"), encoding="utf-8")
     return folder
 
 
@@ -66,6 +86,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (("--motion-of", "dry.mcap"), "needs a trial that moved the bench to its end"),
     (("--motion-of", "good.mcap", "--rate", "500"), "say --rate 1000"),
     (("--motion-of", "none.mcap"), "none.mcap"),
+    (("--motion-of", "good.mcap", "--config", "legs.toml"), "records a single force path, this bench has the force"),
 ], ids=lambda given: " ".join(given) if isinstance(given, tuple) else "")
 def test_a_motion_that_cannot_be_repeated_is_refused_in_one_sentence(
     recorded: Path, bowden: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], said: str
