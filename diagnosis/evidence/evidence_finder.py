@@ -170,14 +170,16 @@ class EvidenceFinder:
                           if name not in decided.chosen and name in found.single],
             traces=figures.traces(trials), held_traces=kept.traces(holdout) if kept is not None else {})
 
-    def observed(self, trials: Sequence[Table]) -> tuple[ReferenceFit, SessionData, Sequence[Table]]:
-        """Return the reference condition, the data of trials of one session under it, and the trials.
+    def observed(self, trials: Sequence[Table]
+                 ) -> tuple[ReferenceFit, SessionData, Sequence[Table], Sequence[Recording]]:
+        """Return the reference condition, the data of trials of one session under it, the trials, and its own trials.
 
         If all reference trials are gaits and some of the trials are, the experiments are left out.
         """
         trials = self._by_motion(trials)[0]
         reference, outputs = self.reference(trials), self._outputs(trials)
-        return reference, reference.observe(*(self.recording(t, outputs) for t in trials)), trials
+        read, known = ([self.recording(t, outputs) for t in some] for some in (trials, self._tables))
+        return reference, reference.observe(*read), trials, known
 
     @property
     def kind(self) -> str:

@@ -12,6 +12,7 @@ from diagnosis.evidence.held_out import HeldOut, blocks_of
 from diagnosis.laws.law_result import Laws, Picture
 from diagnosis.laws.law_search import MOST_TERMS, WORSE, Candidate, LawSearch
 from estimation.data.table import Table
+from estimation.likelihood_data import Recording
 from estimation.posterior import PosteriorMode, SessionData
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
@@ -25,17 +26,17 @@ TRIED: Final = 3
 since each of them costs another screen for swaps."""
 
 
-def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Table], variants: Sequence[Variant] = ()
-             ) -> Laws:
+def discover(reference: ReferenceFit, observed: SessionData, tables: Sequence[Table], references: Sequence[Recording],
+             variants: Sequence[Variant] = ()) -> Laws:
     """Return the terms that extend the model of `reference` in trials of one session.
 
-    `observed`: the trials' data; `tables`: the same trials; `variants`: effects that stay beside the terms.  A term is
-    kept if it worsens no signal on held-out cycles (`worse`), and gains on them.  So is a first one that
-    brings the session's constants back into their scatter and halves their departure (`DOUBTED`).  The first term that
-    is not kept ends the search.
+    `observed`: the trials' data; `tables`: the same trials; `references`: the reference trials; `variants`: effects
+    that stay beside the terms.  A term is kept if it worsens no signal on held-out cycles (`worse`), and gains on them.
+    So is a first one that brings the session's constants back into their scatter and halves their departure
+    (`DOUBTED`).  The first term that is not kept ends the search.
     """
     blocks = blocks_of(tables, observed.trials)
-    search = LawSearch(observed, reference.prior_of(observed), reference, blocks, variants)
+    search = LawSearch(observed, reference.prior_of(observed), reference, blocks, references, variants)
     fault, runners = "", list[Candidate]()
     fits = [(list[Candidate](), search.base)]  # terms and mode with none, one, … of them
 

@@ -20,6 +20,7 @@ from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, departure
 from diagnosis.laws.library import VIBRATING, Candidates, candidates, carriers_of
 from diagnosis.laws.linear_model import FoldedModel, LinearModel
 from diagnosis.laws.model_error import ModelErrors
+from estimation.likelihood_data import Recording
 from estimation.modulated_recording import ModulatedRecording, modulated
 from estimation.posterior import Gaussian, PosteriorMode, SessionData, begun, mode, screened
 from estimation.reference_fit import ReferenceFit
@@ -56,7 +57,8 @@ class Candidate(NamedTuple):
 class LawSearch:
     """Search of terms in the trials of one session, from the fit `base` of constants and discrepancy.
 
-    `blocks`: cycle number of each bin, by trial.  `variants`: effects of the catalogue that stand beside the terms.
+    `blocks`: cycle number of each bin, by trial.  `references`: recordings of the reference trials.
+    `variants`: effects of the catalogue that stand beside the terms.
     `departed`: departure of the session in `base`.  `errors`: errors of the model, which stand beside the terms, too.
     `first`: mode where the first term is sought, and whose courses modulate: the reference condition if the session's
     constants are outside their scatter, since they then hide the form of the change that they absorbed, else `base`.
@@ -66,6 +68,7 @@ class LawSearch:
     prior: Gaussian
     reference: ReferenceFit
     blocks: Sequence[NDArray[np.intp]]
+    references: Sequence[Recording]
     variants: Sequence[Variant] = ()
     base: PosteriorMode = field(init=False)
     departed: float = field(init=False)
@@ -87,7 +90,7 @@ class LawSearch:
         self.departed = departure(self.observed, self.base)
         self.first = self.base if self.variants or self.departed <= DOUBTED else mode(
             self.observed, self.prior, start=self.prior.mean, descends=False)
-        self.errors = ModelErrors(self.observed, self.prior, self.reference, self.blocks)
+        self.errors = ModelErrors(self.observed, self.prior, self.reference, self.blocks, self.references)
         model = self.observed.model
         self.modulated = [modulated(model, self.first.q, trial) for trial in self.observed.trials]
         self.carriers = carriers_of(model, self.observed.outputs)

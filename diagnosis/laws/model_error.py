@@ -1,7 +1,8 @@
 """Errors of the fitted model that are no change of the bench, so that no term may describe them.
 
     discrepancy    a function of the bench's state: it repeats in each gait cycle, so that held-out cycles confirm it
-    model error    residual of the reference trials: it may last a whole cycle, as a slow drift of a sensor does
+    model error    residual of the reference trials: it may last a whole cycle, as a slow drift of a sensor does, and it
+                   may be larger in one part of the cycle, such as where the rope gets taut
 """
 
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from estimation.likelihood_data import Recording
 from estimation.posterior import Gaussian, SessionData
 from estimation.reference_fit import ReferenceFit
 from physics.laws import Array
@@ -21,26 +23,28 @@ PARTS: Final = 50
 class ModelErrors:
     """Variances of discrepancy and model error in the trials of one session.
 
-    `columns`: 1σ of the errors that several data of a gait share, shape (data, errors).  Outside gait cycles
-    nothing is seen not to repeat: there are none, and the whole discrepancy counts against a term.
+    `references`: recordings of the reference trials, in the order of `reference.identified`.  `columns`: 1σ of the
+    errors that several data of a gait share, shape (data, errors).  Outside gait cycles nothing is seen not to repeat:
+    there are none, and the whole discrepancy counts against a term.
     """
 
     def __init__(self, observed: SessionData, prior: Gaussian, reference: ReferenceFit,
-                 blocks: Sequence[NDArray[np.intp]]) -> None:
+                 blocks: Sequence[NDArray[np.intp]], references: Sequence[Recording]) -> None:
         """Lay out the errors on the data.  `blocks`: cycle number of each bin, by trial."""
         self._observed, outputs = observed, observed.outputs
         count, growth = observed.features.shape[1], float(np.mean(observed.growth))
-        self._level = growth * np.array([np.mean(reference.model_error[reference.outputs.index(n)]) for n in outputs])
+        level = growth * np.array([np.mean(reference.model_error[reference.outputs.index(n)]) for n in outputs])
         self._discrepancy = np.einsum("nk,kl,nl->n", observed.features, prior.covariance[-count:, -count:],
                                       observed.features)
-        phases = [np.full(block.size, np.nan) if trial.phase is None else trial.phase
-                  for trial, block in zip(observed.trials, blocks, strict=True)]
-        self._phases, cycles = (self._numbered(parts) for parts in (
-            [np.minimum(np.nan_to_num(p * PARTS, nan=-1.0).astype(np.intp), PARTS - 1) for p in phases],
-            [np.where(np.isfinite(p), block, -1) for p, block in zip(phases, blocks, strict=True)]))
+        parts = [_parts(trial) for trial in observed.trials]
+        self._phases, cycles = (self._numbered(numbers) for numbers in (
+            parts, [np.where(part < 0, -1, block) for part, block in zip(parts, blocks, strict=True)]))
+        seen = np.pad(_seen(reference, references), ((0, 0), (0, 1)))  # outside the gait, part −1: nothing
+        seen = seen[[reference.outputs.index(name) for name in outputs]]
+        self._model = np.concatenate([np.maximum(level[:, None], seen[:, part]).ravel() for part in parts])
         self.columns: Array = np.concatenate([
-            _shared(self._phases, self._discrepancy + self._level[self._phases % len(outputs)]),
-            _shared(cycles, self._level[cycles % len(outputs)])], axis=1)
+            _shared(self._phases, self._discrepancy + self._model),
+            _shared(cycles, level[cycles % len(outputs)])], axis=1)
 
     def _numbered(self, parts: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
         """Return a number for the output and the part of each datum; `parts`: of each bin, by trial, −1: its own."""
@@ -55,19 +59,45 @@ class ModelErrors:
     def least_falls(self, change: Array) -> dict[str, float]:
         """Return the fall of the squared error that a term must exceed in one judged signal, N².
 
-        `change`: of the data's prediction by the term, shape (data,).  It is the model error's variance, and the
-        discrepancy's times the share of the change that repeats in each cycle.
+        `change`: of the data's prediction by the term, shape (data,).  It is the model error's variance where the term
+        acts, and the discrepancy's times the share of the change that repeats in each cycle.
         """
-        counts = self._observed.weight > 0.0
+        counts, outputs = self._observed.weight > 0.0, self._observed.outputs
         least = {}
-        for k, name in enumerate(self._observed.outputs):
+        for k, name in enumerate(outputs):
             if name in self._observed.model.judged:
-                own = counts & (self._phases % self._level.size == k)
+                own = counts & (self._phases % len(outputs) == k)
                 part, values = self._phases[own], change[own]
-                sums, sizes = np.bincount(part, values), np.bincount(part)
-                share = float((sums[sizes > 0]**2 / sizes[sizes > 0]).sum() / max(values @ values, 1e-30))
-                least[name] = float(self._level[k] + share * self._discrepancy[own].mean())
+                sums, sizes, whole = np.bincount(part, values), np.bincount(part), max(values @ values, 1e-30)
+                share = float((sums[sizes > 0]**2 / sizes[sizes > 0]).sum() / whole)
+                least[name] = float(values**2 @ self._model[own] / whole + share * self._discrepancy[own].mean())
         return least
+
+
+def _parts(trial: Recording) -> NDArray[np.intp]:
+    """Return the part of the gait cycle of each bin; −1 outside the gait."""
+    if trial.phase is None:
+        return np.full(trial.rows.size, -1)
+    return np.minimum(np.nan_to_num(trial.phase * PARTS, nan=-1.0).astype(np.intp), PARTS - 1)
+
+
+def _seen(reference: ReferenceFit, references: Sequence[Recording]) -> Array:
+    """Return the square of what the model misses on average in each part of a reference trial's cycles, N².
+
+    Shape (outputs, parts): the mean over the reference trials, the largest of a part and its neighbours, since gaits
+    differ.
+    """
+    squares: Array = np.zeros((len(reference.outputs), PARTS))
+    if reference.model.pools_sessions:  # of a rig, which has no gait
+        return squares
+    for trial, (q, c) in zip(references, reference.identified, strict=True):
+        known, part = reference.observe(trial), _parts(trial)
+        missed, walked = known.data - known.predicted(q) - known.features @ c, part >= 0
+        sizes = np.maximum(np.bincount(part[walked], minlength=PARTS), 1)
+        for k in range(squares.shape[0]):
+            sums = np.bincount(part[walked], trial.part(missed, k)[walked], PARTS)
+            squares[k] += (sums / sizes) ** 2 / len(references)
+    return np.asarray(np.max([np.roll(squares, shift, axis=1) for shift in (-1, 0, 1)], axis=0))
 
 
 def _shared(numbers: NDArray[np.intp], variance: Array) -> Array:

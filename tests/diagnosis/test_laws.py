@@ -146,10 +146,10 @@ def changed(trial: Table, change: Change) -> Table:
 @pytest.mark.exhaustive
 def test_a_change_that_repeats_in_each_cycle_must_exceed_the_discrepancy() -> None:
     made = family.case(Job(8801, ()))
-    reference, observed, tables = EvidenceFinder(list(made.healthy)).observed([made.trial])
+    reference, observed, tables, known = EvidenceFinder(list(made.healthy)).observed([made.trial])
     blocks, phase = blocks_of(tables, observed.trials), observed.trials[0].phase
     assert phase is not None
-    errors = ModelErrors(observed, reference.prior_of(observed), reference, blocks)
+    errors = ModelErrors(observed, reference.prior_of(observed), reference, blocks, known)
     pulse = np.exp(-0.5 * ((phase - 0.6) / 0.02) ** 2)
     every, other = (np.tile(pulse * sign, len(observed.outputs)) for sign in (1.0, np.where(blocks[0] % 2, 1.0, -1.0)))
     least = errors.least_falls(every)

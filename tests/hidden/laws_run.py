@@ -144,9 +144,9 @@ def row(kind: str, asked: Question) -> dict[str, Any]:
     with threadpool_limits(1, user_api="blas"):
         finder = EvidenceFinder([table(f"healthy{k}", c) for k, c in enumerate(made.references)])
         given = table("trial", columns)
-        reference, observed, tables = finder.observed([given])
+        reference, observed, tables, known = finder.observed([given])
         searching = time.process_time()
-        laws = discover(reference, observed, tables)
+        laws = discover(reference, observed, tables, known)
         seconds = time.process_time() - searching
         noise = {n: _noise(given, n) for n in (START, END)}
 
@@ -155,7 +155,8 @@ def row(kind: str, asked: Question) -> dict[str, Any]:
 
         own, determined = "", ""
         if asked.effects:
-            search = LawSearch(observed, reference.prior_of(observed), reference, blocks_of(tables, observed.trials))
+            search = LawSearch(
+                observed, reference.prior_of(observed), reference, blocks_of(tables, observed.trials), known)
             errors, fault = _own(search, tables, asked.effects[0])
             own, determined = f"{weighed(errors, 'after'):.4g}", str(int(not fault))
         elif name not in ADDED and made.clean.any():
@@ -200,9 +201,9 @@ def _own(search: LawSearch, tables: Sequence[Table], effect: str) -> tuple[Mappi
 
 def discover_none(finder: EvidenceFinder, given: Table) -> Mapping[str, Figures]:
     """Return the held-out errors with the session adapted alone."""
-    reference, observed, tables = finder.observed([given])
+    reference, observed, tables, known = finder.observed([given])
     blocks = blocks_of(tables, observed.trials)
-    search = LawSearch(observed, reference.prior_of(observed), reference, blocks)
+    search = LawSearch(observed, reference.prior_of(observed), reference, blocks, known)
     session = search.predicted([], search.base)
     return HeldOut(observed, reference.missed(observed), session, None, blocks).figures(reference)
 
