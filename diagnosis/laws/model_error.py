@@ -97,7 +97,7 @@ def _seen(reference: ReferenceFit, references: Sequence[Recording]) -> Array:
         for k in range(squares.shape[0]):
             sums = np.bincount(part[walked], trial.part(missed, k)[walked], PARTS)
             squares[k] += (sums / sizes) ** 2 / len(references)
-    return np.asarray(np.max([np.roll(squares, shift, axis=1) for shift in (-1, 0, 1)], axis=0))
+    return np.asarray(np.mean([np.roll(squares, shift, axis=1) for shift in (-1, 0, 1)], axis=0))
 
 
 def _shared(numbers: NDArray[np.intp], variance: Array) -> Array:
