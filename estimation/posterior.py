@@ -224,7 +224,7 @@ def between_sessions(off: Array, sd: Array, information: Sequence[Array], known:
 
 def extra_constants(table: ConstantTable, variants: Sequence[Variant]) -> list[int]:
     """Return the constants that `variants` set free and that are fixed in the reference condition, by row number."""
-    return sorted({table.index[n] for v in variants for d in v.directions for n in d.along} - set(table.free))
+    return sorted(set(freed(table, variants)) - set(table.free))
 
 
 def widened(table: ConstantTable, prior: Gaussian, variants: Sequence[Variant]
@@ -415,17 +415,30 @@ def slope_point(model: ForwardModel, q: Array, variant: Variant, names: Sequence
     return at
 
 
-def own_error(at: PosteriorMode, observed: SessionData, prior: Gaussian, variant: Variant) -> Array:
-    """Return columns of an error of the effect `variant` at its mode: its response times each feature of the states.
+def freed(table: ConstantTable, variants: Sequence[Variant]) -> list[int]:
+    """Return the constants along which `variants` of effects act, by row number."""
+    return sorted({table.index[name] for v in variants for d in v.directions for name in d.along})
 
-    Shape (data, features).  An effect's equation differs from the bench's by a share of the effect that depends on
-    motion and load.
+
+def response_error(at: PosteriorMode, observed: SessionData, prior: Gaussian, rows: Sequence[int]) -> Array:
+    """Return columns of an error of the response to constants `rows` at a mode: `SURROGATE` of it times each feature.
+
+    Shape (data, features), 1σ.  The simulated response differs from the bench's by a share of it that depends on motion
+    and load.
     """
     table, without = at.table, at.q.copy()
-    healthy = prior.coordinates(table)
-    freed = [table.index[name] for direction in variant.directions for name in direction.along]
-    without[freed] = healthy[freed]
-    return np.asarray((observed.predicted(at.q) - observed.predicted(without))[:, None] * observed.features)
+    without[list(rows)] = prior.coordinates(table)[list(rows)]
+    return np.asarray(SURROGATE * (observed.predicted(at.q) - observed.predicted(without))[:, None] * observed.features)
+
+
+def error_factor(at: PosteriorMode, error: Array) -> float:
+    """Return the log Bayes factor, nats, of a mode with a further Gaussian `error` against the mode without it.
+
+    `error`: columns of 1σ, shape (data, columns).
+    """
+    off = at.residual + at.design @ (at.x - at.prior_mean)
+    applied = whitened(at, np.concatenate([off[:, None], error], axis=1))
+    return bayes_factor(error.T @ applied[:, 1:], error.T @ applied[:, 0])[0]
 
 
 def begun(base: PosteriorMode, variant: Variant | None, sizes: Array | None = None, kept: Sequence[Variant] = ()

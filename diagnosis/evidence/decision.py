@@ -16,7 +16,7 @@ from scipy.linalg import cho_solve
 
 from diagnosis.evidence.hypothesis_search import TrialModes, search_other_minimum, search_pairs
 from estimation.forward_model import ForwardModel
-from estimation.posterior import SURROGATE, PosteriorMode, SessionData, own_error, screened
+from estimation.posterior import PosteriorMode, SessionData, freed, response_error
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
@@ -78,9 +78,7 @@ def decide(found: TrialModes) -> Decision:
     part = found.observed.model.hypotheses[best].part
     search_pairs(found, best)
     further = found.further(best)
-    error = SURROGATE * own_error(found.single[best], found.observed, found.prior, found.variants[best])
-    seconds = [name for name in detected(further, DOUBTED * least)
-               if screened(found.single[best], found.observed, found.paired[name], error)[0] >= DOUBTED * least]
+    seconds = detected(further, DOUBTED * least)
     chosen = (best, *seconds[:1])
     at = found.pair[(best, seconds[0])] if seconds else found.single[best]
     misfit = misfits(found, at, chosen_variants(found, chosen))
@@ -154,7 +152,7 @@ def misfits(found: TrialModes, at: PosteriorMode, variants: Sequence[Variant] = 
     `variants`: effects of the mode, whose equations may be inexact.
     """
     observed = found.observed
-    left = _left(at, [SURROGATE * own_error(at, observed, found.prior, variant) for variant in variants])
+    left = _left(at, [response_error(at, observed, found.prior, freed(at.table, [variant])) for variant in variants])
     told = dict(zip(observed.outputs, observed.misfit(left).tolist(), strict=True))
     return told | {"session": departure(observed, at)}
 

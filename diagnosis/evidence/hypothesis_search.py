@@ -13,7 +13,17 @@ import numpy as np
 from scipy.special import logsumexp
 
 from diagnosis.evidence.session_change import averaged, feature_sd, under
-from estimation.posterior import Gaussian, PosteriorMode, SessionData, begun, mode, screened
+from estimation.posterior import (
+    Gaussian,
+    PosteriorMode,
+    SessionData,
+    begun,
+    error_factor,
+    freed,
+    mode,
+    response_error,
+    screened,
+)
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
@@ -49,24 +59,42 @@ class TrialModes:
     session_priors: Sequence[tuple[float, Gaussian]] = ()
     each_dispersed: bool = False
     other_minimum: Callable[[TrialModes], OtherMinimum] | None = None
+    _known: list[tuple[PosteriorMode, PosteriorMode, float]] = field(default_factory=list)
 
     def gains(self) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each candidate against the null, best first."""
-        return self._against(self.null, self.single)
+        return self._against(self.null, self.single, self.variants)
 
     def further(self, name: str) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each pair with effect `name` against `name` alone, best first."""
-        return self._against(self.single[name], {b: at for (a, b), at in self.pair.items() if a == name})
+        return self._against(self.single[name], {b: at for (a, b), at in self.pair.items() if a == name}, self.paired)
 
-    def _against(self, base: PosteriorMode, offered: Mapping[str, PosteriorMode]) -> dict[str, float]:
+    def _against(self, base: PosteriorMode, offered: Mapping[str, PosteriorMode], variants: Mapping[str, Variant]
+                 ) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each candidate against `base`, over the best mode's overdispersion.
 
         With `each_dispersed` it is that of the better of candidate and `base`.
         """
         candidates = {name: at for name, at in offered.items() if name not in self.refused}
-        found = {name: (at.log_evidence - base.log_evidence) / self.overdispersion(base, *(
-            (at,) if self.each_dispersed else candidates.values())) for name, at in candidates.items()}
+        found = {name: (at.log_evidence - base.log_evidence + self._beside(base, at, variants[name]))
+                 / self.overdispersion(base, *((at,) if self.each_dispersed else candidates.values()))
+                 for name, at in candidates.items()}
         return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+    def _beside(self, base: PosteriorMode, at: PosteriorMode, variant: Variant) -> float:
+        """Return by how much the evidence of `variant` falls, nats, since what else changed is known to `SURROGATE`.
+
+        What else changed in the mode `at` is the session, and a first effect.  Its error is in both modes.
+        """
+        if self.observed.model.pools_sessions:
+            return 0.0
+        known = next((nats for first, second, nats in self._known if first is base and second is at), None)
+        if known is None:
+            others = sorted(set(at.table.free) - set(freed(at.table, [variant])))
+            error = response_error(at, self.observed, self.prior, others)
+            known = min(0.0, error_factor(at, error) - error_factor(base, error))
+            self._known.append((base, at, known))
+        return known
 
     def overdispersion(self, *modes: PosteriorMode) -> float:
         """Return the variance of sessions about the reference condition over the expected one, at least 1.
