@@ -187,3 +187,12 @@ def test_a_healthy_pair_of_a_drive_with_much_friction_has_no_name() -> None:
     # 17.9 nats of `stribeck` where the drive may differ by 10 % of a typical one only (decision 63)
     made = case(Job(33, (), 5003))
     assert diagnose([made.trial], healthy=list(made.healthy)).causes == []
+
+
+@pytest.mark.exhaustive
+def test_what_the_session_changes_is_known_to_a_tenth() -> None:
+    # 20.5 nats of `stribeck` where the response to the session's constants is exact (decision 68)
+    made = case(Job(196, (), 12596))
+    assert diagnose([made.trial], healthy=list(made.healthy)).causes == []
+    made = case(Job(459, ("start_gain",), 12859))
+    assert diagnose([made.trial], healthy=list(made.healthy)).rivals == ["start_gain"]
