@@ -428,8 +428,7 @@ def response_error(at: PosteriorMode, observed: SessionData, prior: Gaussian, ro
     """
     table, without = at.table, at.q.copy()
     without[list(rows)] = prior.coordinates(table)[list(rows)]
-    simulated = observed.data - at.residual - at.features @ at.x[at.constants:]
-    return np.asarray(SURROGATE * (simulated - observed.predicted(without))[:, None] * observed.features)
+    return np.asarray(SURROGATE * (observed.predicted(at.q) - observed.predicted(without))[:, None] * observed.features)
 
 
 def error_factor(at: PosteriorMode, error: Array) -> float:
