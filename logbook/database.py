@@ -86,8 +86,9 @@ Sixth: effects have secants, too.  Seventh, with the references: friction is dis
 free more constants (decision 52).  Ninth, with the references: a trial is linearised by its motion (decision 57).
 Tenth: a stiffness may move the zero that homing fixes (decision 60).  Eleventh: the error of the linearisation counts
 as noise (decision 61).  From the twelfth on with the references: pre-sliding has a shape (decision 62), a drive's
-constants scatter by a share of their own (decision 63), derivatives have a smaller step (decision 64), a fit starts at
-a lever arm beside its prior and what else changed is known to a tenth (decision 68).  The fifth renames constants."""
+constants scatter by a share of their own (decision 63), derivatives have a smaller step (decision 64).  Fifteenth: a
+fit starts at a lever arm beside its prior, and what else changed is known to a tenth (decision 68).  The fifth
+renames constants."""
 
 
 class TrialEntry(NamedTuple):

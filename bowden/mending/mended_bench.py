@@ -46,7 +46,7 @@ class MendedBench:
 
     @property
     def scatter(self) -> str:
-        """Interval of the mean fall in words; why there is none with a single pair."""
+        """Interval of the mean fall, in words; a single pair has no interval."""
         low, high = self.interval or (None, None)
         return "one pair of trials, so no interval" if low is None else f"95 %: {low:.3g} … {high:.3g}"
 

@@ -1,7 +1,7 @@
 """The motion of a recorded trial, to be repeated: its gait, settings and calibration, and the targets that it sent.
 
-The diagnosis compares a trial with a reference trial of the same motion directly, since what the model misses under
-one motion repeats under it.
+The diagnosis compares a trial with a reference trial of the same motion directly, since the model's error under one
+motion repeats under it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bowden.deferred import on_first_use
 from parameters import InputError
 
 with on_first_use():
-    from bowden.trials import force_paths, provenance, recorded, session
+    from bowden.trials import provenance, recorded, session
     from bowden.trials.session import PreparedTrial
     from master.control.controller import RecordedTargets
     from master.motion.experiment_run import ExperimentSetup
@@ -57,11 +57,11 @@ def prepared(given: Path, sections: Mapping[str, Any], chosen: BusSettings) -> P
     Raises `InputError` for a trial whose motion cannot be repeated.
     """
     whole, bench = read.open(given), sections["network"].bench
-    names = read.path_names(whole)
-    if names != (tuple(path.name for path in bench.force_paths) if force_paths.several(bench) else ()):
+    names = read.path_names(whole) or ("",)
+    if names != bench.path_prefixes:
         raise InputError(f"{given}: records {_paths(names)}, this bench has {_paths(bench.path_prefixes)}; give its "
                          "bench.toml with --config.")
-    trials = {name: read.one_path(whole, name) for name in names} or {"": whole}
+    trials = {name: read.one_path(whole, name) if name else whole for name in names}
     setups = {name: _setup(trial, sections["network"].rate_hz) for name, trial in trials.items()}
     sent, setup = {name: sent_targets(trial) for name, trial in trials.items()}, next(iter(setups.values()))
     kept = (provenance.CONTROLLER_MODEL, *(f"{part}.csv" for part in recorded.CURVES))

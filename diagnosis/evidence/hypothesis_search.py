@@ -59,6 +59,7 @@ class TrialModes:
     session_priors: Sequence[tuple[float, Gaussian]] = ()
     each_dispersed: bool = False
     other_minimum: Callable[[TrialModes], OtherMinimum] | None = None
+    # `_beside` of each pair of modes that was asked, since every ranking asks all of them again
     _known: list[tuple[PosteriorMode, PosteriorMode, float]] = field(default_factory=list)
 
     def gains(self) -> dict[str, float]:

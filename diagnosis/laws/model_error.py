@@ -1,7 +1,7 @@
 """Errors of the fitted model that are no change of the bench, so that no term may describe them.
 
     discrepancy    a function of the bench's state: it repeats in each gait cycle, so that held-out cycles confirm it
-    model error    residual of the reference trials: it may last a whole cycle, as a slow drift of a sensor does, and it
+    model error    residual of the reference trials: it may last a whole cycle, as a slow drift of a sensor does.  It
                    may be larger in one part of the cycle, such as where the rope gets taut
 """
 
@@ -82,10 +82,9 @@ def _parts(trial: Recording) -> NDArray[np.intp]:
 
 
 def _seen(reference: ReferenceFit, references: Sequence[Recording]) -> Array:
-    """Return the square of what the model misses on average in each part of a reference trial's cycles, N².
+    """Return the squared mean residual of the reference trials in each part of their cycles, N², (outputs, parts).
 
-    Shape (outputs, parts): the mean over the reference trials, the largest of a part and its neighbours, since gaits
-    differ.
+    The mean over the reference trials, a part and its two neighbours, since gaits differ.
     """
     squares: Array = np.zeros((len(reference.outputs), PARTS))
     if reference.model.pools_sessions:  # of a rig, which has no gait

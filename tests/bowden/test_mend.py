@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,11 +14,13 @@ from bowden.bench import configuration
 from bowden.mending.journal import Journal
 from bowden.mending.mended_bench import MendedBench, paired_interval
 from bowden.models.diagnosing import DiagnosisResult
+from bowden.trials import recorded
 from diagnosis.findings import Findings
 from diagnosis.laws.law_result import Laws
 from parameters import InputError
 from physics import bench_model
 from physics.terms import Term
+from trial import read
 
 SETTINGS = {"reference": ["good.mcap"], "hours": 1.0}
 
@@ -95,6 +99,20 @@ def test_a_bench_that_no_run_can_repair_is_refused(tmp_path: Path, shape: str, s
     with pytest.raises(InputError, match=sentence):
         bowden.mend([good], tmp_path / "night", configuration=bench)
     assert not (tmp_path / "night").exists()
+
+
+@pytest.mark.exhaustive
+def test_the_declared_bench_is_the_one_that_runs(
+        tmp_path: Path, bowden: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bench.toml").write_text(configuration.as_template(shape="bench_no_knee_drive"), encoding="utf-8")
+    walk = ("--config", "bench.toml", "--cycles", 4)
+    assert bowden("trial", *walk, "--period", 1.2, "-o", "good.mcap").status == 0
+    done = bowden("mend", *walk, "--reference", "good.mcap", "--hours", 0, "--seed", 5, "-o", "night", "--json")
+    assert done.status == 0, done.stderr
+    good, gait = (recorded.sections(read.open(Path(name)))["network"].bench.shape
+                  for name in ("good.mcap", "night/gait.mcap"))
+    assert gait == good
 
 
 @pytest.mark.exhaustive

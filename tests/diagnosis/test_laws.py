@@ -5,6 +5,7 @@ The trials are of `tests.plants`, whose structure the forward model does not sha
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 from collections.abc import Callable
@@ -13,10 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diagnosis.compared_signals import Figures
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.held_out import blocks_of
 from diagnosis.finder import Finder
 from diagnosis.findings import Findings
+from diagnosis.laws.law_findings import worse
 from diagnosis.laws.law_result import Laws
 from diagnosis.laws.model_error import ModelErrors
 from estimation.data.table import Table
@@ -154,6 +157,23 @@ def test_a_change_that_repeats_in_each_cycle_must_exceed_the_discrepancy() -> No
     every, other = (np.tile(pulse * sign, len(observed.outputs)) for sign in (1.0, np.where(blocks[0] % 2, 1.0, -1.0)))
     least = errors.least_falls(every)
     assert all(least[name] > 1.5 * fall for name, fall in errors.least_falls(other).items())
+    # where the model misses the reference trials by a newton, a term must take more than that
+    missed = [copy.copy(trial) for trial in known]
+    for trial in missed:
+        assert trial.phase is not None
+        trial.data = trial.data + np.tile(np.exp(-0.5 * ((trial.phase - 0.6) / 0.04) ** 2), len(observed.outputs))
+    seen = ModelErrors(observed, reference.prior_of(observed), reference, blocks, missed).least_falls(every)
+    assert all(seen[name] > fall + 0.3 for name, fall in least.items())
+
+
+@pytest.mark.parametrize(("name", "rmse", "high", "harmed"), [
+    ("tension_end_n", 1.06, -1.0, True), ("tension_end_n", 1.04, -1.0, False),
+    ("servo_force_n", 1.06, -1.0, False), ("servo_force_n", 1.16, -10.0, True),
+])
+def test_harm_to_a_signal_that_is_not_judged_needs_whole_cycles(name: str, rmse: float, high: float, harmed: bool
+                                                               ) -> None:
+    errors = {name: Figures("N", rmse_session=1.0, rmse_after=rmse, high=high)}
+    assert bool(worse(errors, ("tension_end_n", "tension_start_n"))) is harmed
 
 
 @pytest.mark.exhaustive
